@@ -97,8 +97,8 @@ def accumulate(
         cycles_per_metre=2 * (collection.carrier + profile_frequency(collection)) / SPEED_OF_LIGHT,
         antenna=(
             collection.antenna_position if collection.transmitter_position is None else collection.transmitter_position
-        )[pulses].T,
-        receiver=None if collection.receiver_position is None else collection.receiver_position[pulses].T,
+        )[pulses],
+        receiver=None if collection.receiver_position is None else collection.receiver_position[pulses],
         reference_range=collection.reference_range[pulses],
         half_window=collection.range_window / 2,
         taper=None if taper.uniform else _beam_taper(taper, profiles, geometry),

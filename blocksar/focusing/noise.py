@@ -56,25 +56,31 @@ def pulse_sums(
     """
     collection, taper = geometry.collection, weighting.azimuth
     if taper.uniform and not collection.has_pattern:
-        [(count, _)] = dwell_parts(geometry, x, y, valid, z, 1)
-        return PulseSums(count, count)
+        [(count, squares, _)] = dwell_parts(geometry, x, y, valid, z, 1)
+        return PulseSums(squares, count)
     squares, gains = np.zeros(np.shape(x)), np.zeros(np.shape(x))
-    for count, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
+    for count, square, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
         weight = geometry.beam.weights(x, y, middle, taper, z)
-        squares += count * weight**2
+        squares += square * weight**2
         gains += count * weight * geometry.beam.gain(x, y, middle, z)
     return PulseSums(squares, gains)
 
 
 def dwell_parts(
     geometry: Geometry, x: FloatArray, y: FloatArray, valid: FloatArray, z: Height | None, parts: int
-) -> Iterator[tuple[FloatArray, IntArray]]:
-    """Divide the dwells of points (...), as of `pulse_sums`: valid pulses of each part, and its middle pulse."""
+) -> Iterator[tuple[FloatArray, FloatArray, IntArray]]:
+    """Divide the dwells of points (...), as of `pulse_sums`.
+
+    Yields, of each part, the sums of the shares of time of valid pulses and of the squares of shares, which are both
+    their number where pulses are uniform, and the middle pulse.
+    """
+    collection = geometry.collection
+    shares = collection.pulses.shares
     ends = geometry.beam.dwell(x, y, z=z)
     never = ~(np.isfinite(ends[0]) & np.isfinite(ends[1]))
-    start, _ = aperture(geometry.collection)
-    low, high = (np.where(never, 0.0, (end - start) * geometry.collection.prf) for end in ends)
-    before, n = np.concatenate([[0.0], np.cumsum(valid)]), valid.size
+    low, high = (np.where(never, 0.0, pulses_before(collection, end)) for end in ends)
+    n = valid.size
+    sums = [np.concatenate([[0.0], np.cumsum(valid if shares is None else valid * shares**k)]) for k in (1, 2)]
 
     def counted(first: FloatArray, last: FloatArray, before: FloatArray) -> FloatArray:
         parts = (
@@ -86,7 +92,9 @@ def dwell_parts(
     for part in range(parts):
         first = low + (high - low) * part / parts
         last = high if part + 1 == parts else low + (high - low) * (part + 1) / parts
-        yield counted(last) - counted(first), np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
+        count = counted(first, last, sums[0])
+        square = count if shares is None else counted(first, last, sums[1])
+        yield count, square, np.clip((first + last) / 2, 0, n - 1).astype(np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

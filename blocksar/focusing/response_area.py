@@ -66,9 +66,9 @@ def response_sums(
 ) -> ResponseSums:
     """The sums at points x, y, z (...), m; below 0 beyond the ends of the beam, as those of `noise.pulse_sums`."""
     squares, gains = np.zeros(np.shape(x)), np.zeros(np.shape(x))
-    for count, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
+    for count, square, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
         weight = geometry.beam.weights(x, y, middle, taper, z) * geometry.beam.gain(x, y, middle, z)
-        squares += count * weight**2 * _slowness(geometry, x, y, z, middle)
+        squares += square * weight**2 * _slowness(geometry, x, y, z, middle)
         gains += count * weight
     return ResponseSums(squares, gains)
 

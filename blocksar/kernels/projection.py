@@ -1,4 +1,4 @@
-"""Sums of range profiles over pulses for tiles of pixels: exact back-projection.
+"""Sums of range profiles over pulses, for tiles of pixels: the loop of exact back-projection.
 
 The pixels of a tile lie at offsets (dx, dy) from its centre. A pulse's antenna is at a distance R from the centre, in
 the direction (ex, ey, ez). With g = 1 / (2 R),
@@ -20,7 +20,10 @@ Pixels are summed in groups, squares where they can be. Where a group is so smal
 MOST_CYCLES from its middle, only the middle's range is found as above, FEW pulses at a time, with the direction there;
 those of the pixels follow from it by the same series to 2 q^2, in float32, with 1e-4 rad at most of the phase lost.
 
-Under a taper over a steered beam, the weights of pulses change from pixel to pixel.
+Under a taper over a steered beam a pulse's weight changes from pixel to pixel (below); tiles are divided until
+the polynomial of the place in the beam is precise.
+
+Weights of pulses over a tile of pixels, under a taper over a steered beam.
 
 The place v in the beam is a quadratic polynomial over a tile, through 3 x 3 places; tiles are divided until it errs by
 less than PLACE_ERROR.
@@ -172,7 +175,7 @@ NEAREST = 1.0  # m: nearer antennas are left to the square root
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sights:
-    """View of the ground from a block of pulses, with their range profiles.
+    """View of the ground from a block of pulses, and its range profiles.
 
     Attributes
     ----------
@@ -186,7 +189,7 @@ class Sights:
         How fast bins and phases go by with range.
     antenna : (n, 3) float
         x, y and z, m.
-    receiver : (3, n) float or None
+    receiver : (n, 3) float or None
         Of another antenna that receives, m: `antenna` transmits then, and ranges are half the way to both.
     reference_range : (n,) float
         m
@@ -212,6 +215,7 @@ class Sights:
         return replace(
             self, start=self.start + pulses.start, values=values, antenna=self.antenna[pulses],
             reference_range=self.reference_range[pulses], taper=self.taper and self.taper.of(pulses),
+            receiver=None if self.receiver is None else self.receiver[pulses],
         )  # fmt: skip
 
 
@@ -232,12 +236,12 @@ class LitPixels(NamedTuple):
     last: IntArray
 
     def of(self, part: tuple[slice, slice]) -> LitPixels:
-        """Select pixels by rows and columns."""
+        """Pixels of some rows and columns."""
         return LitPixels(self.x[part], self.y[part], self.z[part], self.first[part], self.last[part])
 
 
 def series_error(reach: FloatArray | float, distance: FloatArray | float) -> FloatArray:
-    """Bound on the series' error at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
+    """Largest error of the series at offsets up to `reach` from a point at a distance, m; infinite if it diverges."""
     q = np.asarray(reach / (2 * distance))
     q = q * (1 + q)
     # |z| <= reach (1 + q); each Catalan number is less than four times the one before.
@@ -270,35 +274,24 @@ def project(
     """
     if not tiles.rows.size:
         return
-    side = _group_side(x.shape)
-    place = _in_groups(np.stack([x, y, z]), side)
-    lit = _in_groups(np.stack([first, last], dtype=np.int32), side)
-    spans = np.clip(np.stack([lit[0].min(axis=1), lit[1].max(axis=1)], axis=1, dtype=np.int64), begin, end)
-    pulses = slice(begin - sights.start, end - sights.start)
-    # A sample is loaded as one number of 64 bits, so that vectors of samples are transposed whole.
-    samples, origins = (
-        sights.values.reshape(-1).view(np.float64),
-        np.arange(pulses.start, pulses.stop) * n_bin + sights.middle,
-    )
     if sights.receiver is not None:
-        sums, farthest = np.zeros((2, place[0].size), np.float32), np.zeros(place[0].size)
-        ends = sights.antenna[:, pulses], sights.receiver[:, pulses], sights.reference_range[None, pulses]
-        antennas = np.ascontiguousarray(np.concatenate(ends).T)
-        add_bistatic_pulses(
-            *sums, farthest, samples, origins, *(axis.ravel() for axis in place), *(axis.ravel() for axis in lit),
-            spans, begin, antennas, sights.cycles_per_metre, sights.bins_per_metre, sights.half_window,
-        )  # fmt: skip
-        image.real += _from_groups(sums[0], side, image.shape)
-        image.imag += _from_groups(sums[1], side, image.shape)
-        outside |= _from_groups(farthest, side, image.shape) > sights.half_window
+        _project_bistatic(image, outside, sights, sights.receiver, pixels, tiles)
         return
-    low, high = place.min(axis=(1, 2)), place.max(axis=(1, 2))
-    centre = (low + high) / 2
-    series, roots = pulse_tables(sights, pulses, centre, reach=float(np.linalg.norm(high - low)) / 2)
-    places, precise = place_tables(sights.taper, pulses, low, high)
-    if (size > SMALL and not series[0, :-FEW].all()) or (size > 1 and not precise):
-        for part in halves(x.shape):
-            project(image[part], outside[part], sights, pixels.of(part), weight[part])
+    count, n_bin = tiles.rows[:, 1] - tiles.rows[:, 0], sights.values.shape[1]
+    # The tables of a tile go on by FEW pulses, of which nothing is used.
+    at = np.cumsum(count + FEW) - count - FEW
+    tile = np.repeat(np.arange(count.size), count + FEW)
+    pulses = np.arange(tile.size) - at[tile] + (tiles.rows[:, 0] - sights.start)[tile]
+    pulses = np.minimum(pulses, (tiles.rows[:, 1] - 1 - sights.start)[tile])
+    series, roots = pulse_tables(sights, pulses, tile, tiles.low, tiles.high)
+    places, precise = place_tables(sights.taper, pulses, tile, tiles.low, tiles.high)
+    held, precise = (np.logical_and.reduceat(each, at) for each in (series[0] > 0, precise))
+    divided = (~held & (tiles.pixels > SMALL)) | (~precise & (tiles.pixels > 1))
+    if divided.any():
+        parts = [part for tile in tiles.some(divided).slices() for part in halves(tile)]
+        block = sights.start, sights.start + sights.reference_range.size
+        for some in (tiles.some(~divided), Tiles.of(pixels, parts, block)):
+            project(image, outside, sights, pixels, weight, some)
         return
     terms = np.zeros(0, np.float32) if sights.taper is None else sights.taper.terms.astype(np.float32)
     frequency = 0.0 if sights.taper is None else sights.taper.frequency
@@ -308,6 +301,30 @@ def project(
         at, tiles.low, tiles.high, pulses * n_bin + sights.middle, series, roots, sights.cycles_per_metre,
         sights.bins_per_metre, sights.half_window, MOST_CYCLES, places, terms, frequency / 2,
     )  # fmt: skip
+
+
+def _project_bistatic(
+    image: ComplexArray, outside: BoolArray, sights: Sights, receiver: FloatArray, pixels: LitPixels, tiles: Tiles
+) -> None:
+    """Add pulses of two antennas to the pixels of tiles; pixels go in groups of FEW, the last of which is repeated."""
+    n_bin, samples = sights.values.shape[1], sights.values.reshape(-1).view(np.float64)
+    antennas = np.column_stack([sights.antenna, receiver, sights.reference_range])
+    for window, (begin, end) in zip(tiles.slices(), tiles.rows.tolist(), strict=True):
+        x, y, z, first, last = (axis.ravel() for axis in pixels.of(window))
+        chosen = np.minimum(np.arange(-(-x.size // FEW) * FEW), x.size - 1)
+        place = [np.ascontiguousarray(axis[chosen], np.float64) for axis in (x, y, z)]
+        lit = [np.clip(axis[chosen], begin, end).astype(np.int32) for axis in (first, last)]
+        spans = np.column_stack([lit[0].reshape(-1, FEW).min(axis=1), lit[1].reshape(-1, FEW).max(axis=1)])
+        rows = slice(begin - sights.start, end - sights.start)
+        sums, farthest = np.zeros((2, chosen.size), np.float32), np.zeros(chosen.size)
+        add_bistatic_pulses(
+            *sums, farthest, samples, np.arange(rows.start, rows.stop) * n_bin + sights.middle, *place, *lit,
+            spans.astype(np.int64), begin, np.ascontiguousarray(antennas[rows]), sights.cycles_per_metre,
+            sights.bins_per_metre, sights.half_window,
+        )  # fmt: skip
+        shape = image[window].shape
+        image[window] += (sums[0] + 1j * sums[1])[: x.size].reshape(shape).astype(np.complex64)
+        outside[window] |= (farthest > sights.half_window)[: x.size].reshape(shape)
 
 
 def halves(tile: tuple[slice, slice]) -> list[tuple[slice, slice]]:

@@ -1,4 +1,4 @@
-"""Inner loop of back-projection over the pulses that light groups of pixels, compiled: see `projection`."""
+"""The loop of exact back-projection over the pulses that light groups of pixels, compiled: see `projection`."""
 
 from __future__ import annotations
 
@@ -31,10 +31,11 @@ from blocksar.kernels.lanes import (
     whole,
     within,
 )
-from blocksar.kernels.loops import COMPILED, PART, REAL_ROWS, loop
+from blocksar.kernels.loops import COMPILED, PART, REAL_ROW, REAL_ROWS, loop
 
 CHUNK = 32  # pulses whose profiles, as far as neighbouring pixels read them, stay in the first-level cache
 MOST_FILLED = 1.2  # times the pixels of a tile, to fill squares
+PULSES = types.int32[::1]
 WINDOWS = types.Array(types.int64, 2, "C", readonly=True)
 ORIGINS = types.Array(types.int64, 1, "C", readonly=True)
 WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
@@ -44,7 +45,7 @@ WEIGHTS = types.Array(types.float32, 1, "C", readonly=True)
 def _by_series(
     series: Any, k: Any, square: Any, dx: Any, dy: Any, dz: Any, hilly: Any, bins_per_cycle: Any
 ) -> tuple[Any, Any]:
-    """Phase, cycles modulo 1, and position in the profile, bins in fixed point, by the series."""
+    """Phase, in cycles about a whole number, and position in the profile, in bins and fixed point."""
     slope = series[3, k] * square
     if hilly:
         slope = series[7, k] * dz + slope
@@ -54,14 +55,14 @@ def _by_series(
 
 @njit(inline="always")
 def _series(z: Any, g: Any) -> Any:
-    """Range relative to that of the centre, by the series of z and q = g z."""
+    """The range less that of the centre, by the series of z and q = g z."""
     q = g * z
     return z + z * (q * (((14.0 * q - 5.0) * q + 2.0) * q - 1.0))
 
 
 @njit(**PART, **COMPILED)
 def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: Any, dz: Any, per_cycle: Any) -> None:
-    """Prepare the view of FEW pulses on the pixels about a group's middle, in `seen` (7, n) and `bins` (n,) from j on.
+    """Find what the pixels about the middle of a group need of FEW pulses, in `seen` (7, n) and `bins` (n,) from j on.
 
     The middle lies at (dx, dy, dz) from the tile's centre. In order: its phase, about a whole number of cycles; how far
     it lies from its bin; g and the direction there, in cycles; and what q is of z. The latter follow from those of the
@@ -85,14 +86,14 @@ def _see_middle(seen: Any, bins: Any, series: Any, k: Any, j: Any, dx: Any, dy: 
 
 @njit(inline="always")
 def _about_middle(dx: Any, dy: Any, dz: Any) -> Any:
-    """Offsets from a group's middle in float32, and squared distances."""
+    """Offsets from the middle of a group, in float32, and the squares of the distances."""
     ux, uy, uz = single(dx), single(dy), single(dz)
     return ux, uy, uz, ux * ux + uy * uy + uz * uz
 
 
 @njit(inline="always")
 def _by_root(roots: Any, k: Any, dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
-    """Range minus reference range, by the square root."""
+    """Range - reference_range."""
     x, y, up = dx + roots[k, 0], dy + roots[k, 1], spread_few(roots[k, 2])
     if hilly:
         up = (dz + roots[k, 4]) * (dz + roots[k, 4])
@@ -101,7 +102,7 @@ def _by_root(roots: Any, k: Any, dx: Any, dy: Any, dz: Any, hilly: Any) -> Any:
 
 @njit(inline="always")
 def _sample(triples: Any, right: Any) -> Any:
-    """Quadratic spline at `right` bins from the middle one of three: real and imaginary part."""
+    """Real and imaginary part of the quadratic spline at `right` bins from the middle one of three."""
     a, b, c, d, e, f = triples
     half, eighth, three_quarters = np.float32(0.5), np.float32(0.125), np.float32(0.75)
     odd, square = half * right, right * right
@@ -112,20 +113,20 @@ def _sample(triples: Any, right: Any) -> Any:
 
 @njit(inline="always")
 def _place(places: Any, k: Any, dx: Any, dy: Any) -> Any:
-    """Place v in the beam."""
+    """v in the beam."""
     bend = places[k, 3] * dx + places[k, 4] * dy
     return places[k, 0] + (places[k, 1] * dx + places[k, 2] * dy) + bend * dx + places[k, 5] * dy * dy
 
 
 @njit(inline="always")
 def _rise(places: Any, k: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Increase of a series by heights dz over the centre's."""
+    """Term of a series that heights dz over the centre's add."""
     return (places[k, 7] + places[k, 8] * dx + places[k, 9] * dy + places[k, 10] * dz) * dz
 
 
 @njit(inline="always")
 def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
-    """Evaluate sum_k terms_k cos(2 pi k half_frequency v) by Clenshaw's recurrence; |half_frequency v| <= 1/2."""
+    """sum_k terms_k cos(2 pi k half_frequency v), by Clenshaw's recurrence; at most |half_frequency v| = 1/2."""
     turned = remainder(v * half_frequency)
     cos = cosine(turned)
     twice = cos + cos
@@ -137,7 +138,7 @@ def _taper(v: Any, terms: Any, half_frequency: Any) -> Any:
 
 @njit(inline="always")
 def _added(re: Any, im: Any, a: Any, b: Any, turn: Any) -> Any:
-    """Add a + 1j b, rotated by a phase in cycles, to the sums."""
+    """The sums with a + 1j b, turned by a phase in cycles."""
     cos, sin = cosine_and_sine(turn)
     return re + a * cos - b * sin, im + a * sin + b * cos
 
@@ -251,6 +252,149 @@ def _add_to_groups(
             store(imag, i, im)
 
 
+@njit(**PART, **COMPILED)
+def _pixel(
+    group: int, lane: int, squares: bool, square: int, wide: int, height: int, width: int
+) -> tuple[int, int, bool]:
+    """Row and column of a lane of a group: of a square of pixels, or of FEW in their order; the last are repeated."""
+    if squares:
+        r, c = group // wide * square + lane // square, group % wide * square + lane % square
+        return min(r, height - 1), min(c, width - 1), r < height and c < width
+    i = group * FEW + lane
+    at = min(i, height * width - 1)
+    return at // width, at % width, i == at
+
+
+@loop(
+    types.complex64[:, :], types.boolean[:, :], types.float32[:, :], types.float64[::1], types.int64,
+    *[types.Array(types.float64, 2, "A", readonly=True)] * 3, *[types.Array(types.int64, 2, "A", readonly=True)] * 2,
+    WINDOWS, WINDOWS, ORIGINS, REAL_ROWS, REAL_ROWS, ORIGINS, REAL_ROWS, REAL_ROWS, types.float64, types.float64,
+    types.float64, types.float64, REAL_ROWS, WEIGHTS, types.float64, **COMPILED,
+)  # fmt: skip
+def add_pulses(
+    image: ComplexArray,
+    outside: BoolArray,
+    weight: NDArray[np.float32],
+    samples: FloatArray,
+    square: int,
+    x: FloatArray,
+    y: FloatArray,
+    z: FloatArray,
+    first: IntArray,
+    last: IntArray,
+    windows: IntArray,
+    rows: IntArray,
+    at: IntArray,
+    low: FloatArray,
+    high: FloatArray,
+    origins: IntArray,
+    series: FloatArray,
+    roots: FloatArray,
+    cycles_per_metre: float,
+    bins_per_metre: float,
+    half_window: float,
+    most_cycles: float,
+    places: FloatArray,
+    terms: NDArray[np.float32],
+    half_frequency: float,
+) -> None:
+    """Sum the lit pulses, in ascending order, at the pixels of some tiles of the image.
+
+    Tables have a column, or a row, for each pulse of each tile; that of a tile begins at `at`. They are made by
+    `projection.pulse_tables` and `projection.place_tables`.
+
+    Parameters
+    ----------
+    image : (n_row, n_column) complex64
+        Added to in place.
+    outside : (n_row, n_column) bool
+        Set where a lit pulse needed the square root and |range - reference_range| exceeds half_window.
+    weight : (n_row, n_column) float32
+        Rises by the sum of the pulses' weights; unchanged where `terms` is empty.
+    samples : (n_sample,) float64
+        Spline coefficients of the profiles, each a complex64 as 64 bits.
+    square : int
+        Pixels along either side of a group, where squares hold a tile well.
+    x, y, z : (n_row, n_column) float
+        m
+    first, last : (n_row, n_column) int
+        Pulses first <= p < last light a pixel.
+    windows : (n, 4) int
+        Tiles: rows from the first to before the second, columns from the third to before the fourth.
+    rows : (n, 2) int
+        The pulses that tables have of a tile: all that light any of it.
+    at : (n,) int
+    low, high : (n, 3) float
+        The box around a tile, m.
+    origins : (n_table,) int
+        The sample of each pulse at its reference range.
+    series, roots : (8, n_table), (n_table, 5) float
+        For ranges by the series about the tile's centre, and by the square root; FEW more follow those of each tile.
+    cycles_per_metre, bins_per_metre : float
+        How fast phases and bins go by with range.
+    half_window : float
+        Largest unambiguous |range - reference_range|, m.
+    most_cycles : float
+        From the middle of a group, of which float32 has enough of the phase.
+    places : (n_table, 7) or (n_table, 11) float
+        Polynomials of the pixel's place v in the beam, with the fraction of valid samples in column 6.
+    terms : (n_term,) float32
+        Of the weight as a function of v; empty without weights.
+    half_frequency : float
+        Cosines of the weight have k half_frequency v turns.
+    """
+    for t in range(windows.shape[0]):
+        top, left = windows[t, 0], windows[t, 2]
+        height, width = windows[t, 1] - top, windows[t, 3] - left
+        begin, end, close_by = rows[t, 0], rows[t, 1], True
+        for k in range(at[t], at[t] + end - begin):
+            close_by = close_by and series[0, k] > 0
+        wide, deep = (width + square - 1) // square, (height + square - 1) // square
+        squares = wide * deep * square * square <= MOST_FILLED * height * width
+        count = wide * deep if squares else (height * width + FEW - 1) // FEW
+        n = count * FEW
+        place, lit = np.empty((3, n)), np.empty((2, n), np.int32)
+        spans, close, middles = np.empty((count, 2), np.int64), np.empty(count, np.bool_), np.empty((3, count))
+        sums, farthest = np.zeros((3, n), np.float32), np.zeros(n)
+        box = np.empty((2, 3))
+        for group in range(count):
+            spans[group, 0], spans[group, 1] = end, begin
+            box[0], box[1] = np.inf, -np.inf
+            for lane in range(FEW):
+                r, c, _ = _pixel(group, lane, squares, square, wide, height, width)
+                r, c, i = r + top, c + left, group * FEW + lane
+                place[0, i], place[1, i], place[2, i] = x[r, c], y[r, c], z[r, c]
+                for k in range(3):
+                    box[0, k], box[1, k] = min(box[0, k], place[k, i]), max(box[1, k], place[k, i])
+                lit[0, i], lit[1, i] = max(first[r, c], begin), min(last[r, c], end)
+                if lit[0, i] < lit[1, i]:
+                    spans[group, 0] = min(spans[group, 0], lit[0, i])
+                    spans[group, 1] = max(spans[group, 1], lit[1, i])
+            apart = 0.0
+            for k in range(3):
+                middles[k, group] = (box[0, k] + box[1, k]) / 2
+                apart += ((box[1, k] - box[0, k]) / 2) ** 2
+            near = apart * bins_per_metre**2 < (NEAR[1] - 1) ** 2 and apart * cycles_per_metre**2 < most_cycles**2
+            close[group] = near and close_by
+        hilly = high[t, 2] > low[t, 2]
+        centre_x, centre_y = (low[t, 0] + high[t, 0]) / 2, (low[t, 1] + high[t, 1]) / 2
+        _add_to_groups(
+            sums[0], sums[1], sums[2], farthest, samples, origins, place[0], place[1], place[2], hilly, centre_x,
+            centre_y, (low[t, 2] + high[t, 2]) / 2, lit[0], lit[1], spans, close, middles, begin - at[t], series, roots,
+            cycles_per_metre, bins_per_metre, half_window, places, terms, half_frequency,
+        )  # fmt: skip
+        for group in range(count):
+            for lane in range(FEW):
+                r, c, there = _pixel(group, lane, squares, square, wide, height, width)
+                if there:
+                    r, c, i = r + top, c + left, group * FEW + lane
+                    image[r, c] += complex(sums[0, i], sums[1, i])
+                    if terms.size:
+                        weight[r, c] += sums[2, i]
+                    if farthest[i] > half_window:
+                        outside[r, c] = True
+
+
 @loop(
     types.float32[::1], types.float32[::1], types.float64[::1], REAL_ROW, ORIGINS, *[REAL_ROW] * 3, PULSES, PULSES,
     types.int64[:, ::1], types.int64, REAL_ROWS, types.float64, types.float64, types.float64, **COMPILED,
@@ -273,10 +417,22 @@ def add_bistatic_pulses(
     bins_per_metre: float,
     half_window: float,
 ) -> None:
-    """`add_pulses` where transmitter and receiver are two antennas: R is half the sum of two square roots.
+    """Sum the lit pulses at pixels seen by two antennas: the range is half the sum of two square roots.
 
     Parameters
     ----------
+    real, imag : (n,) float32
+        The sums, added to in place; pixels in groups of FEW.
+    farthest : (n,) float
+        Rises to |range - reference_range| of a lit pulse, m.
+    x, y, z : (n,) float
+        m
+    first, last : (n,) int32
+        Pulses first <= p < last light a pixel.
+    spans : (n_group, 2) int64
+        Those that light any pixel of a group.
+    start : int
+        Pulse p has the row p - start of `origins` and `antennas`.
     antennas : (n_pulse, 7) float
         x, y and z of the transmitter, then of the receiver, and the reference range, m.
     """

@@ -22,7 +22,7 @@ from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.focusing.method import ChainOptions
 from blocksar.processors import AUTO, PROCESSORS, options_for
-from blocksar.processors.base import Comparison, ImagePlan, Problem, is_general
+from blocksar.processors.base import Bound, Bounding, Comparison, ImagePlan, Problem, is_general, usual_seconds
 from blocksar.processors.chain_tables import digits
 from blocksar.texts import time_text
 
@@ -113,14 +113,51 @@ class Auto:
 CHOICE = Auto()
 
 
-def _candidate(name: str, problem: Problem) -> Candidate:
-    machine, processor = problem.machine, PROCESSORS.get(name)
+def _seconds(candidate: Candidate) -> float:
+    return candidate.seconds
+
+
+def _choose(candidates: Sequence[Candidate], usual: Candidate | None, most: float) -> tuple[Candidate, str]:
+    """The candidate to take, and why.
+
+    `usual` is the fastest of those that take any collection and keep the fidelity; others have to take `most` seconds.
+    """
+    quick = [each for each in candidates if each.serves and each is not usual and each.seconds <= most]
+    planned = [each for each in candidates if each.plan is not None]
+    if quick:
+        best = min(quick, key=_seconds)
+        reason = f"{best.processor} is chosen: it keeps the fidelity in the least time"
+    elif usual is not None:
+        best = usual
+        reason = (
+            f"{best.processor} is chosen: it keeps the fidelity in the least time of those that take any collection"
+        )
+    elif planned:
+        best = max(planned, key=lambda each: each.plan.coherence if each.plan else 0.0)
+        return best, f"no processor keeps the fidelity; {best.processor} comes closest"
+    else:
+        return candidates[-1], ""
+    for each in candidates:
+        if each.bound is not None:
+            late = ", more than half as long" if each.bound.seconds else ""
+            reason += f"; {each.processor} is not planned: {each.bound.reason}{late}"
+        elif each.serves and each.seconds < best.seconds:
+            reason += f"; {each.processor} does too, but takes more than half as long"
+        elif each.plan is not None and each.seconds < best.seconds:
+            reason += f"; {each.processor}, which takes less, does not"
+    return best, reason
+
+
+def _candidate(name: str, problem: Problem, most: float = math.inf) -> Candidate:
+    """Plan an image by a processor; one that has to take at most so many seconds may say that it takes longer."""
+    part, problem = PROCESSORS.get(name), problem.with_options(options_for(name, {}))
     departures = [each for collection in problem.collections for each in collection.departures]
-    if departures and not is_general(processor):
+    if departures and not is_general(part):
         remedy = f" ({departures[0].remedy}, and it can)" if departures[0].remedy else ""
         return Candidate(name, refusal=departures[0].fact + remedy)
     try:
-        plan = processor.plan(replace(problem, options=options_for(name, {})))
+        within = part.plan_within if isinstance(part, Bounding) and most < math.inf else None
+        plan = part.plan(problem) if within is None else within(problem, most)
     except InputError as error:
         return Candidate(name, refusal=str(error))
     if isinstance(plan, Bound):

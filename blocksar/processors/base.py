@@ -370,6 +370,22 @@ class Processor(Protocol):
         """
 
 
+@runtime_checkable
+class Bounding(Processor, Protocol):
+    """A processor that may know early that a plan is not worth to be made."""
+
+    def plan_within(self, problem: Problem, seconds: float) -> ImagePlan | Bound:
+        """Plan an image, or say why no plan keeps the fidelity in so many seconds, as soon as that is known.
+
+        The plan is that of `plan`. It may still take longer, or not keep the fidelity.
+
+        Raises
+        ------
+        InputError
+            As `plan`.
+        """
+
+
 def is_general(processor: Processor) -> bool:
     """Whether a processor takes collections that are bistatic or not uniform; see `Collection.departures`."""
     return bool(getattr(processor, "general", False))

@@ -54,9 +54,9 @@ class SICD:
         from blocksar.products import sicd
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel)
-        lines = sicd.write(source, out, calibration=options.calibration, overwrite=overwrite, progress=progress)
-        return [*said, *lines]
+        source, lines = opened(run, channel)
+        written = sicd.write(source, out, calibration=options.calibration, overwrite=overwrite, progress=progress)
+        return [*lines, *written]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ class GeoTIFF:
         from blocksar.products.pixels import pixels_of
         from blocksar.products.writing import opened
 
-        source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
+        source, lines = opened(run, channel, options.crop, options.quantity, options.calibration)
         pixels = pixels_of(
             source,
             content=_content(options),
@@ -208,7 +208,7 @@ class PNG:
 
         drawn = {"limits": options.range, "size": options.size, "overwrite": overwrite, "progress": progress}
         if options.composite is None:
-            source, said = opened(run, channel, options.crop, options.quantity, options.calibration)
+            source, lines = opened(run, channel, options.crop, options.quantity, options.calibration)
             cell = _cell(options, source)
             quicklook = _pictures("quicklook")
             return [*lines, *quicklook.write(source, out, cell=cell, colour_map=options.colour_map, **drawn)]

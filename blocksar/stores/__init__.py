@@ -19,6 +19,7 @@ from __future__ import annotations
 from blocksar.stores.channels import POLARIZATIONS, check_channels, look_name, number_of, with_channels, without_unseen
 from blocksar.stores.chunk_files import Array, Region
 from blocksar.stores.contract import (
+    ANTENNAS,
     CALIBRATION_FACTOR,
     COLLECTION,
     COLLECTION_NUMBER,
@@ -79,6 +80,7 @@ from blocksar.stores.regions import chunk_shape, read_region, share_region, writ
 from blocksar.stores.terrain_store import StoredTerrain, read_terrain, terrain_fingerprint, write_terrain
 
 __all__ = [
+    "ANTENNAS",
     "CALIBRATION_FACTOR",
     "COLLECTION",
     "COLLECTION_NUMBER",

@@ -496,7 +496,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "real samples": ({"signal": (("pulse", "range_frequency"), np.zeros((256, 128)))}, "signal is float64"),
     "transposed": ({"signal": (("range_frequency", "pulse"), np.zeros((128, 256), "c8"))}, "transpose"),
     "descending time": ({"time": ("pulse", -np.arange(256.0))}, "time does not ascend"),
-    "NaN in time": ({"time": ("pulse", np.r_[np.nan, 1:256.0])}, "time has 1 values that are not finite"),
+    "NaN in time": ({"time": ("pulse", np.r_[np.nan, 1:256.0])}, "time is not finite at 1 of 256 values"),
     "time in ms": ({"time": ("pulse", np.arange(256.0), {"units": "ms"})}, "time is in 'ms'"),
     "absolute frequency": ({"range_frequency": -9.7e9 + np.arange(128.0)}, "baseband"),
     "flat track": ({"antenna_position": (("pulse", "axis"), np.ones((256, 2)))}, r"position has shape \(256, 2"),
