@@ -613,7 +613,7 @@ STEERED: dict[str, tuple[Fields, str]] = {
     ),
     "time in us instead of s": (lambda c: {"time": c.time * 1e6}, r"moves at 0\.000.* m/s, .* or of time"),
     "time that descends": (lambda c: {"time": -c.time}, "time does not ascend"),
-    "time that jumps": (lambda c: {"time": c.time + (c.time > 0)}, "time is not uniform"),
+    "time that jumps": (lambda c: {"time": c.time + (c.time > 0)}, "time leaps by 1"),
     "time that is missing once": (lambda c: {"time": np.r_[np.nan, c.time[1:]]}, "time is not finite at 1 of"),
     "track in mm": (lambda c: {"antenna_position": c.antenna_position * 1e3}, r"moves at 200272 m/s"),
     "carrier that is no number": (lambda c: {"carrier": np.nan}, "carrier_frequency .* nan"),
