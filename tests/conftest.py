@@ -22,9 +22,9 @@ from distributed import Client
 from once import once
 
 import blocksar
-from blocksar.api import run_stages
-from blocksar.api.jobs import Job
-from blocksar.api.run_stages import Check, checking
+from blocksar.application import run_stages
+from blocksar.application.jobs import Job
+from blocksar.application.run_stages import Check, checking
 from blocksar.collection.collection import Collection
 from blocksar.garbage import collect_seldom
 from blocksar.graph.cluster import open_client

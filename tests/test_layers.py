@@ -223,7 +223,7 @@ def test_focus_loads_only_what_it_uses(tmp_path: Path) -> None:
     focus = f"blocksar.api.focusing.focus({str(store)!r}, {str(tmp_path / 'run')!r}, blocks=1, workers=0)"
     assert loaded(
         ("import blocksar.api.focusing", (*slow, "blocksar.autofocusing")),
-        (f"import blocksar.graph.worker; {focus}", ("xarray", "zarr")),
+        (f"import blocksar.processors.worker; {focus}", ("xarray", "zarr")),
     ) == [[], []]
 
 

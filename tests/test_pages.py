@@ -21,12 +21,12 @@ from scene_reference import scene_tables
 from typer.testing import CliRunner
 
 import blocksar
-from blocksar.api import parsing
+from blocksar.application import parsing
 from blocksar.cli import commands
 from blocksar.errors import InputError
-from blocksar.ingestion.kinds import Start
-from blocksar.ingestion.readers import Reader
 from blocksar.processors.base import Processor
+from blocksar.readers.kinds import Start
+from blocksar.readers.registry import Reader
 
 ROOT = Path(__file__).resolve().parents[1]
 BUILT = {"build", "dist", "node_modules"}  # folders to skip at any depth, as hidden ones
@@ -268,7 +268,7 @@ def test_command_lines_are_found_on_the_expected_pages() -> None:
     programs = {split(command)[0] for command in documented().values()}
     assert programs == {"blocksar", *WORKFLOWS, "focus_on_slurm", "focused_scene"}
     assert {name.split(":")[0] for name in documented()} >= {
-        "README.md", "blocksar/graph/README.md", "blocksar/ingestion/README.md", "workflows/README.md",
+        "README.md", "blocksar/graph/README.md", "blocksar/readers/README.md", "workflows/README.md",
         "deploy/slurm/README.md",
     }  # fmt: skip
     assert len(inline()) >= 8

@@ -52,7 +52,7 @@ from benchmarks.processors import compare_processors
 from benchmarks.scenes import Case, Scale, scene_tables
 from benchmarks.tables import show
 from blocksar import stores
-from blocksar.api.parsing import parse_blocks, parse_memory
+from blocksar.application.parsing import parse_blocks, parse_memory
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph.machine import machine
 

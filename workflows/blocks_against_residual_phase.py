@@ -50,9 +50,9 @@ from rich.console import Console
 from rich.table import Table
 
 import blocksar
-from blocksar.api.parsing import parse_grid
+from blocksar.application.parsing import parse_grid
 from blocksar.budget import SIDE_LOBE_BUDGET
-from blocksar.focusing.method import Chain, Coefficients
+from blocksar.imaging.method import Chain, Coefficients
 
 MIB = 2**20
 COLUMNS = {  # of the CSV file, with title and format of the table's column

@@ -45,7 +45,7 @@ from distributed import Client, LocalCluster, Worker
 from distributed.security import Security
 
 import blocksar
-from blocksar.api.settings import Settings
+from blocksar.application.settings import Settings
 from blocksar.cli.option_groups import taking
 from blocksar.graph.units import await_workers, waiting_for_workers
 from blocksar.options import options_of, read_values

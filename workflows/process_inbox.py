@@ -54,10 +54,10 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from blocksar.api.settings import Settings as FocusSettings
+from blocksar.application.settings import Settings as FocusSettings
 from blocksar.cli import endings, option_groups
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.options import options_of, read_values
 from blocksar.places import place
 from blocksar.places.local import LocalPlace

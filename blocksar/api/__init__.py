@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from blocksar.api.planning import plan
     from blocksar.api.previewing import preview
     from blocksar.api.reporting import report
-    from blocksar.api.reports import Report
-    from blocksar.api.shown import PlanReport, RunReport
     from blocksar.api.sources import (
         ingest,
         ingest_cphd,
@@ -42,16 +40,20 @@ if TYPE_CHECKING:
         simulate,
     )
     from blocksar.api.viewing import view
+    from blocksar.application.reports import Report
+    from blocksar.application.shown import PlanReport, RunReport
 
 # The module of each function: it is loaded on first use, since a command needs one of them.
 _HOMES = {
-    "PlanReport": "shown", "Report": "reports", "RunReport": "shown", "autofocus": "autofocusing",
-    "calibrate": "calibrating", "check": "checking", "collection": "from_arrays", "compare": "comparing",
-    "compile": "compile_ahead", "demo": "demonstrating", "export": "exporting", "focus": "focusing",
-    "info": "describing", "ingest": "sources", "ingest_cphd": "sources", "ingest_crsd": "sources",
-    "ingest_gotcha": "sources", "ingest_nisar": "sources", "ingest_palsar": "sources", "ingest_sentinel1": "sources",
-    "open": "exporting", "plan": "planning", "preview": "previewing", "quality": "measuring", "report": "reporting",
-    "scene_centre": "from_arrays", "simulate": "sources", "view": "viewing", "write": "from_arrays",
+    "PlanReport": "application.shown", "Report": "application.reports", "RunReport": "application.shown",
+    "autofocus": "api.autofocusing", "calibrate": "api.calibrating", "check": "api.checking",
+    "collection": "api.from_arrays", "compare": "api.comparing", "compile": "api.compile_ahead",
+    "demo": "api.demonstrating", "export": "api.exporting", "focus": "api.focusing", "info": "api.describing",
+    "ingest": "api.sources", "ingest_cphd": "api.sources", "ingest_crsd": "api.sources",
+    "ingest_gotcha": "api.sources", "ingest_nisar": "api.sources", "ingest_palsar": "api.sources",
+    "ingest_sentinel1": "api.sources", "open": "api.exporting", "plan": "api.planning", "preview": "api.previewing",
+    "quality": "api.measuring", "report": "api.reporting", "scene_centre": "api.from_arrays",
+    "simulate": "api.sources", "view": "api.viewing", "write": "api.from_arrays",
 }  # fmt: skip
 __all__ = [
     "PlanReport",
@@ -89,7 +91,7 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         with uncollected():
-            found = getattr(importlib.import_module(f"blocksar.api.{_HOMES[name]}"), name)
+            found = getattr(importlib.import_module(f"blocksar.{_HOMES[name]}"), name)
         globals()[name] = found
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

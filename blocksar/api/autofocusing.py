@@ -12,14 +12,14 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from blocksar import stores
-from blocksar.api.arguments import control_points, history_of, on_ground
-from blocksar.api.ground import read_ground
-from blocksar.api.parsing import GridLike
-from blocksar.api.reports import Report
-from blocksar.api.settings import Settings
-from blocksar.api.track_places import TrackPlace
-from blocksar.api.tracks import TrackEstimate
-from blocksar.api.workforce import choose_workforce
+from blocksar.application.arguments import control_points, history_of, on_ground
+from blocksar.application.ground import read_ground
+from blocksar.application.parsing import GridLike
+from blocksar.application.reports import Report
+from blocksar.application.settings import Settings
+from blocksar.application.track_places import TrackPlace
+from blocksar.application.tracks import TrackEstimate
+from blocksar.application.workforce import choose_workforce
 from blocksar.autofocusing.finishing import Result
 from blocksar.budget import WAIT_WORKERS
 from blocksar.chunks import stored_bytes
@@ -27,7 +27,6 @@ from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.graph.machine import resources
-from blocksar.graph.track_stages import copy_store
 from blocksar.graph.units import Executor, OnCluster
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_in, place
@@ -38,6 +37,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import Receipt
 from blocksar.runs.track import ATTRIBUTE
+from blocksar.tasks.track_stages import copy_store
 from blocksar.version import __version__
 
 if TYPE_CHECKING:

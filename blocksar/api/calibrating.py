@@ -10,8 +10,8 @@ import numpy as np
 
 from blocksar import stores
 from blocksar.api.measuring import read_target
-from blocksar.api.reports import Report
-from blocksar.api.target_files import read_reflectors
+from blocksar.application.reports import Report
+from blocksar.application.target_files import read_reflectors
 from blocksar.errors import InputError, in_the_way
 from blocksar.measurement.reflectors import Reflected, Reflector, measure_reflector
 from blocksar.places import Location, place

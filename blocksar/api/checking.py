@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import history_of, on_ground
-from blocksar.api.ground import read_ground
-from blocksar.api.parsing import GridLike, grid_of
-from blocksar.api.pulses import imaging_parts, pulse_reader
-from blocksar.api.reports import CHECK_COLUMNS, Report, Table
+from blocksar.application.arguments import history_of, on_ground
+from blocksar.application.ground import read_ground
+from blocksar.application.parsing import GridLike, grid_of
+from blocksar.application.pulses import imaging_parts, pulse_reader
+from blocksar.application.reports import CHECK_COLUMNS, Report, Table
 from blocksar.arrays import ComplexArray
 from blocksar.chunks import TILE
 from blocksar.collection.empty_pulses import find_real
@@ -24,10 +24,10 @@ from blocksar.collection.surface import Surface
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import InputError
 from blocksar.graph.machine import resources
-from blocksar.ingestion.heights import Ground
 from blocksar.inspection import check as samples_check
 from blocksar.inspection.verdict import Findings
 from blocksar.places import Location
+from blocksar.readers.heights import Ground
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from blocksar.api.reports import Report, finite, only_stage
+from blocksar.application.reports import Report, finite, only_stage
 from blocksar.errors import InputError, in_the_way, library_for, quoted
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from blocksar.api.reports import Report, only_stage
+from blocksar.application.reports import Report, only_stage
 from blocksar.graph.compiling import LOOPS, compile_modules
 from blocksar.progress import Wanted as Progress
 

@@ -10,9 +10,9 @@ from blocksar.api.describing import disk_size
 from blocksar.api.focusing import focus
 from blocksar.api.measuring import measure
 from blocksar.api.reporting import report
-from blocksar.api.reports import Report
 from blocksar.api.sources import simulate
-from blocksar.api.target_files import targets_of
+from blocksar.application.reports import Report
+from blocksar.application.target_files import targets_of
 from blocksar.errors import InputError, library_for
 from blocksar.graph import compiling, recording
 from blocksar.measurement.figures import TABLE3

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import history_of, is_dataset
-from blocksar.api.pulses import WHOLE, recorded_text
-from blocksar.api.reports import Report
-from blocksar.api.shown import is_measurable
+from blocksar.application.arguments import history_of, is_dataset
+from blocksar.application.pulses import WHOLE, recorded_text
+from blocksar.application.reports import Report
+from blocksar.application.shown import is_measurable
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY
 from blocksar.collection.beam import NOT_STEERED, lit_yaw, wrapped
@@ -26,13 +26,13 @@ from blocksar.collection.region import default_grid, plan_region
 from blocksar.collection.weighting import FLAT
 from blocksar.constants import SPEED_OF_LIGHT, unit_of_lengths
 from blocksar.errors import InputError, MissingInput
-from blocksar.focusing.method import Method
-from blocksar.ingestion.kinds import SCENE
-from blocksar.ingestion.readers import READERS, Reader, found_at
+from blocksar.imaging.method import Method
 from blocksar.places import Location, place, readable
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
 from blocksar.places.ranges import Readable, WebFile
+from blocksar.readers.kinds import SCENE
+from blocksar.readers.registry import READERS, Reader, found_at
 from blocksar.runs.folder import find_input, member
 from blocksar.runs.record import RECORD, RunRecord
 from blocksar.simulation import shipped_scenes

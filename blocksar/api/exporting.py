@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from blocksar.api.reports import Report, only_stage
+from blocksar.application.reports import Report, only_stage
 from blocksar.errors import InputError
 from blocksar.options import read_options, showing_options
 from blocksar.places import Location, place

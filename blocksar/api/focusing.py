@@ -14,25 +14,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from blocksar import stores
-from blocksar.api.arguments import Source, gpu_workers, in_this_process, on_ground
-from blocksar.api.jobs import Job, Request
-from blocksar.api.joint import focus_members, members_of
-from blocksar.api.parsing import GridLike
-from blocksar.api.pulses import recorded_lines
-from blocksar.api.rehearsing import RoomBeside, check_room_for_run, rehearse
-from blocksar.api.run_stages import carry_out
-from blocksar.api.settings import Settings
-from blocksar.api.shown import RunReport, is_measurable
-from blocksar.api.track_places import TrackPlace
-from blocksar.api.workforce import choose_workforce
+from blocksar.application.arguments import Source, gpu_workers, in_this_process, on_ground
+from blocksar.application.jobs import Job, Request
+from blocksar.application.joint import focus_members, members_of
+from blocksar.application.parsing import GridLike
+from blocksar.application.pulses import recorded_lines
+from blocksar.application.rehearsing import RoomBeside, check_room_for_run, rehearse
+from blocksar.application.run_stages import carry_out
+from blocksar.application.settings import Settings
+from blocksar.application.shown import RunReport, is_measurable
+from blocksar.application.track_places import TrackPlace
+from blocksar.application.workforce import choose_workforce
 from blocksar.budget import FIDELITY, WAIT_WORKERS
 from blocksar.collection.surface import Surface
 from blocksar.errors import InputError
-from blocksar.focusing.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.graph import cluster, compiling, recording
 from blocksar.graph.machine import Resources, resources
 from blocksar.graph.units import Executor, OnCluster, ThisProcess
-from blocksar.ingestion.heights import terrain_notes
+from blocksar.imaging.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.loop_cache import compilation_seconds
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, place
@@ -41,6 +40,7 @@ from blocksar.planning.disk import has_pyramid
 from blocksar.processors import AUTO, PROCESSORS, OwnDevice, OwnProcessor
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
+from blocksar.readers.heights import terrain_notes
 from blocksar.runs import folder as run_folder
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import RECORD, Receipt, RunRecord
@@ -297,7 +297,9 @@ def _focus_image(
             executor = cluster.open_here(listener, _loops(request))
         sentences: list[str] = []
         if request.track is not None:
-            from blocksar.api.tracks import track_corrected  # with all of `autofocusing`, which takes 20 ms to load
+            from blocksar.application.tracks import (
+                track_corrected,  # with all of `autofocusing`, which takes 20 ms to load
+            )
 
             _check_room_before_track(request, record, machine, following)
             corrected = track_corrected(request, machine, executor, listener)
@@ -318,7 +320,7 @@ def _beside(request: Request, following: int) -> RoomBeside:
     """Return the disk space needed besides a run's stores: for `following` more images and the track's estimate."""
     if request.track is None:
         return RoomBeside(following)
-    from blocksar.api.tracks import estimates_of
+    from blocksar.application.tracks import estimates_of
 
     return RoomBeside(following, sum(estimate.room() for estimate in estimates_of(request, request.track)))
 

@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from blocksar import stores
-from blocksar.api.arguments import is_dataset
+from blocksar.application.arguments import is_dataset
 from blocksar.collection.frames import check_centre, check_earth_centred
 from blocksar.collection.georeference import Georeference, find_scene_centre
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion.readers import stated_times
 from blocksar.measurement.targets import Target
 from blocksar.places import Location, lies_at, place
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.readers.registry import stated_times
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from blocksar import stores
-from blocksar.api import finding
-from blocksar.api.reference_chips import compare_with_exact
-from blocksar.api.reports import Report, Table, finite, quality_columns, rounded
-from blocksar.api.target_files import targets_of
+from blocksar.application import finding
+from blocksar.application.reference_chips import compare_with_exact
+from blocksar.application.reports import Report, Table, finite, quality_columns, rounded
+from blocksar.application.target_files import targets_of
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import CUT_WIDTHS, Weighting

@@ -6,35 +6,29 @@ import time
 from dataclasses import replace
 from typing import Any, Literal
 
-from blocksar.api.arguments import Source, channels_of, collections_of, in_this_process, sources_of
-from blocksar.api.ground import ground_under, read_ground
-from blocksar.api.jobs import ANY, naming_hierarchy
-from blocksar.api.looks import divide_dwells, one_source, report_looks
-from blocksar.api.parsing import GridLike
-from blocksar.api.pulses import imaged_collections, recorded_lines
-from blocksar.api.reports import PLAN_COLUMNS
-from blocksar.api.settings import Settings
-from blocksar.api.shown import PlanReport
-from blocksar.api.workforce import active_client, size_of
+from blocksar.application.arguments import Source, channels_of, collections_of, in_this_process, sources_of
+from blocksar.application.ground import ground_under, read_ground
+from blocksar.application.jobs import ANY, naming_hierarchy
+from blocksar.application.looks import divide_dwells, one_source, report_looks
+from blocksar.application.parsing import GridLike
+from blocksar.application.pulses import imaged_collections, recorded_lines
+from blocksar.application.reports import PLAN_COLUMNS
+from blocksar.application.settings import Settings
+from blocksar.application.shown import PlanReport
+from blocksar.application.workforce import active_client, size_of
 from blocksar.budget import FIDELITY
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.surface import Surface
-from blocksar.focusing.interference import check_band
-from blocksar.focusing.method import (
-    Coefficients,
-    Cutting,
-    Derotation,
-    Perturbation,
-    RangeModel,
-)
 from blocksar.graph.machine import Resources, resources
-from blocksar.ingestion.heights import terrain_notes
+from blocksar.imaging.interference import check_band
+from blocksar.imaging.method import Coefficients, Cutting, Derotation, Perturbation, RangeModel
 from blocksar.places import Location
 from blocksar.planning import effort
-from blocksar.planning.strip_segments import joint_grid
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem, plan_image
+from blocksar.processors.chain.planning.strip_segments import joint_grid
 from blocksar.processors.sentences import time_line
+from blocksar.readers.heights import terrain_notes
 
 
 def plan(
@@ -139,8 +133,8 @@ def plan(
     PlanReport
         `tables` has the blocks, the ten with the least coherence if there are many, and `details` all blocks with all
         figures; `refusal` is the reason if the plan cannot be carried out. `plan` is the plan, and `result` of a chain
-        its `planning.plan.Plan` (of several segments, or of looks, a tuple of them), and of back-projection the `Grid`.
-        The method `plot` draws blocks, footprint and track.
+        its `processors.chain.planning.plan.Plan` (of several segments, or of looks, a tuple of them), and of
+        back-projection the `Grid`. The method `plot` draws blocks, footprint and track.
 
     Raises
     ------

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from blocksar import stores
-from blocksar.api.arguments import Source, check_one_frame, history_of, sources_of
 from blocksar.api.describing import grid_text
-from blocksar.api.parsing import GridLike, grid_of
-from blocksar.api.pulses import imaging_parts, pulse_reader
-from blocksar.api.reports import Report, only_stage
+from blocksar.application.arguments import Source, check_one_frame, history_of, sources_of
+from blocksar.application.parsing import GridLike, grid_of
+from blocksar.application.pulses import imaging_parts, pulse_reader
+from blocksar.application.reports import Report, only_stage
 from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
 from blocksar.errors import InputError, library_for, quoted
-from blocksar.focusing import preview as coarse
 from blocksar.graph.machine import resources
+from blocksar.imaging import preview as coarse
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
-from blocksar.planning.strip_segments import joint_grid
+from blocksar.processors.chain.planning.strip_segments import joint_grid
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
 from blocksar.products.registry import check_ending
 from blocksar.products.shared_options import parse_range

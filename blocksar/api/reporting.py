@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from blocksar import stores
 from blocksar.api.measuring import measure_targets
-from blocksar.api.reports import Report, only_stage
-from blocksar.api.target_files import targets_of
+from blocksar.application.reports import Report, only_stage
+from blocksar.application.target_files import targets_of
 from blocksar.errors import InputError, ProcessingError, in_the_way, is_full, library_for, no_room
 from blocksar.measurement.figures import as_json
 from blocksar.places import Location, place

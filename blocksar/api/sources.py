@@ -10,16 +10,16 @@ from inspect import Parameter, getdoc, signature
 from pathlib import Path
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
 
-from blocksar.api.reports import Report, only_stage
+from blocksar.application.reports import Report, only_stage
 from blocksar.errors import InputError, MissingInput
 from blocksar.graph.machine import resources
-from blocksar.ingestion import readers
-from blocksar.ingestion.readers import READERS, found_at, stated_times
 from blocksar.options import options_of, read_options
 from blocksar.places import Location, readable
 from blocksar.places.place import Place
 from blocksar.progress import Listener, as_listener
 from blocksar.progress import Wanted as Progress
+from blocksar.readers import registry as readers
+from blocksar.readers.registry import READERS, found_at, stated_times
 from blocksar.simulation import simulate as simulation
 from blocksar.simulation.scene import Scene
 from blocksar.texts import count

@@ -5,8 +5,8 @@ from __future__ import annotations
 import webbrowser
 from typing import Any
 
-from blocksar.api.reports import Report
-from blocksar.api.target_files import targets_of
+from blocksar.application.reports import Report
+from blocksar.application.target_files import targets_of
 from blocksar.errors import InputError, quoted
 from blocksar.places import Location, place
 from blocksar.products.viewer import Viewer, ViewerTiles

@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.parsing import parse_origin
-from blocksar.api.settings import options_taken
+from blocksar.application.parsing import parse_origin
+from blocksar.application.settings import options_taken
 from blocksar.cli.endings import catch_signals, open_streams
 from blocksar.cli.option_groups import (
     Channel,
@@ -105,13 +105,13 @@ class Readers(Plugged):
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
-        from blocksar.ingestion.readers import READERS
+        from blocksar.readers.registry import READERS
 
         return READERS.names()
 
     @classmethod
     def command_of(cls, name: str) -> Callable[..., None]:
-        from blocksar.ingestion.readers import READERS
+        from blocksar.readers.registry import READERS
 
         reader = READERS.get(name)
         metavar, text = reader.source

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, get_args
 import typer
 from rich.markup import escape
 
-from blocksar.api.settings import OVERWRITE
+from blocksar.application.settings import OVERWRITE
 from blocksar.cli.endings import Commands
 from blocksar.errors import InputError
 from blocksar.options import Option, Stated

@@ -16,12 +16,12 @@ from typing import Annotated, Any
 
 import typer
 
-from blocksar.api.settings import options_taken
+from blocksar.application.settings import options_taken
 from blocksar.cli.endings import FILE, WRONG_INPUT, Commands, UsageError, complain, plain
 from blocksar.cli.option_groups import ALTERNATIVES, Everything, Explain, JsonLog, Quiet, given, single_command, taking
 from blocksar.cli.printing import hint, listening, show
 from blocksar.errors import InputError, quoted
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.options import Stated, options_of, read_values
 from blocksar.processors import PROCESSORS
 from blocksar.version import __version__
@@ -191,7 +191,7 @@ OF_PLAN = ("everything", "explain")  # its options that `focus` has not
 
 def _hint_after_plan(context: typer.Context, sources: list[str]) -> None:
     """Suggest the next command: simulate a scene, or focus phase histories with the same options."""
-    from blocksar.api.arguments import is_scene
+    from blocksar.application.arguments import is_scene
 
     for source in sources:
         if is_scene(source):

@@ -47,7 +47,7 @@ PRE_SPAWN = "distributed.nanny.pre-spawn-environ"
 distributed.utils._forkserver_preload_set = True
 SETTINGS = {"distributed.admin.low-level-log-length": 10}  # dask would keep the last 1000 messages to workers
 LONGEST_FOLDER, SHORT_FOLDER = 70, "/tmp"  # characters that leave room for the name of a socket
-WORKER_MODULE = "blocksar.graph.worker"
+WORKER_MODULE = "blocksar.processors.worker"
 
 
 class OwnCluster(LocalCluster):

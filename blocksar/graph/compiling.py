@@ -1,7 +1,8 @@
 """Compilation of the tasks' loops: once for each installation, by as many processes as there are cores.
 
-A loop is named by its module, or by its module and its own name, `focusing.surfaces:sum_series`. Processes divide the
-loops among them as they go: each compiles those that no other is compiling (`kernels.loops.compile_as`).
+A loop is named by its module, or by its module and its own name, `processors.chain.ground.surfaces:sum_series`.
+Processes divide the loops among them as they go: each compiles those that no other is compiling
+(`kernels.loops.compile_as`).
 """
 
 from __future__ import annotations
@@ -32,14 +33,15 @@ By = Literal["this", "all", "others"]  # the processes that compile loops
 # Those that take longest come first, so that processes end together.
 READ = ("kernels.phase", "inspection.scan")  # of what reads, compresses and inspects samples, for any processor
 TASKS = (
-    "kernels.levelling", "focusing.correction", *READ, "kernels.interpolation:stretch_rows",
-    "focusing.surfaces:sum_series",
+    "kernels.levelling", "processors.chain.ground.correction", *READ, "kernels.interpolation:stretch_rows",
+    "processors.chain.ground.surfaces:sum_series",
 )  # fmt: skip
 RESAMPLING = ("kernels.interpolation:resample_rows",)
 TERRAIN = (
-    "focusing.relief_correction", "kernels.occlusion", "kernels.terrain_rows", "focusing.surfaces:sum_layers",
+    "processors.chain.ground.relief_correction", "kernels.occlusion", "kernels.terrain_rows",
+    "processors.chain.ground.surfaces:sum_layers",
 )  # fmt: skip
-PULSES = ("kernels.pulse_sums", "focusing.pattern_sums")
+PULSES = ("kernels.pulse_sums", "imaging.pattern_sums")
 WEIGHTS = ("kernels.blending",)
 PYRAMID = ("kernels.halving",)
 HIERARCHY = ("kernels.decimation", "kernels.parts")
@@ -50,12 +52,12 @@ LOOPS = (
 )  # fmt: skip
 DEMO = *TASKS, "kernels.pulse_sums", "simulation.scatterers", *PYRAMID
 SECONDS = {
-    "focusing.relief_correction": 7.0,
+    "processors.chain.ground.relief_correction": 7.0,
     "kernels.levelling": 5.0,
-    "focusing.pattern_sums": 4.5,
+    "imaging.pattern_sums": 4.5,
     "kernels.beam_passes": 4.0,
     "simulation.scatterers": 4.0,
-    "focusing.correction": 3.0,
+    "processors.chain.ground.correction": 3.0,
     "kernels.occlusion": 3.0,
     "kernels.phase": 3.0,
     "kernels.pulse_sums": 2.5,

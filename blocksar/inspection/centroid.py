@@ -11,8 +11,8 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import TURN
-from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.samples import SEGMENTS, Inspection
+from blocksar.processors.chain.steps.recovery import Recovery
 
 MAX_OFFSET = 0.08  # of the PRF, and at most a quarter of a target's sweep: tolerance about the expected angles
 TURNING = 0.9  # of the least real part: below it the sum of the segments is too small for a steady centroid

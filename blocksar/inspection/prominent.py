@@ -48,8 +48,8 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.region import Region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.backprojection import accumulate
-from blocksar.focusing.profiles import Profiles, profile_frequency, range_profiles
+from blocksar.imaging.backprojection import accumulate
+from blocksar.imaging.profiles import Profiles, profile_frequency, range_profiles
 from blocksar.kernels.fourier import fft_rows
 from blocksar.kernels.projection import LitPixels
 

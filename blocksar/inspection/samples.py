@@ -37,11 +37,11 @@ from numpy.typing import NDArray
 from blocksar.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.track_shape import find_flaw
-from blocksar.focusing.recorded_pulses import LEAST_SHARE
-from blocksar.focusing.recovery import Recovery
+from blocksar.imaging.recorded_pulses import LEAST_SHARE
 from blocksar.inspection.scan import BEYOND_ALL, STANDS_OUT, scan_pulses, sum_pairs
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
+from blocksar.processors.chain.steps.recovery import Recovery
 
 SEGMENTS = 32  # of slow time, in which pulse pairs are summed: several per dwell
 SQUARED = (1e-12, 1e15)  # extreme levels between which samples are squared in float32 without scaling

@@ -1,6 +1,6 @@
 """Interferometry of two images: interferogram and coherence over a window, effects of height and baseline.
 
-An image is the exact back-projection of its pulses onto the ground (`focusing.backprojection`): what lies on that
+An image is the exact back-projection of its pulses onto the ground (`imaging.backprojection`): what lies on that
 ground has in each image the phase of its reflectivity. In the interferogram a conj(b) the phase of the ranges, also
 called flat-earth phase and topographic phase, is thus out already, for both tracks and on a terrain as on a plane. What
 remains at a pixel X is that of a scatterer P that does not lie where the images assume it,

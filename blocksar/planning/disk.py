@@ -13,9 +13,9 @@ from blocksar.arrays import BoolArray, IntArray
 from blocksar.chunks import IMAGE_CHUNK, PYRAMID_FROM, SAMPLE, stored_bytes
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
-from blocksar.focusing.ground_map import GroundMap
-from blocksar.planning.plan import Plan
 from blocksar.planning.tiling import image_chunk, touched_chunks
+from blocksar.processors.chain.ground.ground_map import GroundMap
+from blocksar.processors.chain.planning.plan import Plan
 
 CELL = 4  # bytes of a cell of a pyramid, a height or an angle: float32, which hardly compress; visibility does
 POINTS = 40_000  # number of grid points at which ownership is evaluated, about

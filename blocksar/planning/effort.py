@@ -21,8 +21,8 @@ from blocksar.chunks import IMAGE_CHUNK, LAYER_CHUNKS, MOSAIC_CHUNKS, PYRAMID_LE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.disk import has_pyramid
-from blocksar.planning.plan import Plan, block_work
 from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks, window_around
+from blocksar.processors.chain.planning.plan import Plan, block_work
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 

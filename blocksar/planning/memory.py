@@ -18,13 +18,13 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import gpu_memory, image_memory
-from blocksar.focusing.hierarchical_backprojection import PULSE_BLOCK_BYTES
-from blocksar.focusing.interference import GROUP
-from blocksar.focusing.range_gate import COMPRESSED_ROWS, GAPPED_ROWS, RangeGate, RawCompression
+from blocksar.imaging.backprojection import gpu_memory, image_memory
+from blocksar.imaging.interference import GROUP
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import GROUP_BYTES, ROOM
 from blocksar.planning.tiling import image_chunk, inspection_width
+from blocksar.processors.chain.steps.range_gate import COMPRESSED_ROWS, GAPPED_ROWS, RangeGate, RawCompression
+from blocksar.processors.hierarchy.parts import PULSE_BLOCK_BYTES
 
 MEMORY_SHARE = 0.8  # fraction of a worker's limit that a plan may fill
 PROCESS_MEMORY = 288 * MIB  # a worker's interpreter and libraries, without samples

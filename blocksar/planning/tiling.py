@@ -11,8 +11,8 @@ from blocksar.chunks import IMAGE_CHUNK, SIGNAL_BYTES, TILE
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Level
 from blocksar.collection.grid import Grid
-from blocksar.focusing.correction import touched
-from blocksar.focusing.ground_map import GroundMap
+from blocksar.processors.chain.ground.correction import touched
+from blocksar.processors.chain.ground.ground_map import GroundMap
 
 
 def image_chunk(grid: Grid) -> tuple[int, int]:

@@ -27,7 +27,7 @@ OwnProcessor = Literal[
     "auto",
 ]  # fmt: skip
 OwnDevice = Literal["cpu", "gpu", "auto"]
-CHAINS = "blocksar.processors.chain"
+CHAINS = "blocksar.processors.chain.processor"
 PROCESSORS: Registry[Processor] = Registry(
     "blocksar.processors",
     "processor",
@@ -35,8 +35,8 @@ PROCESSORS: Registry[Processor] = Registry(
         "angular-division": f"{CHAINS}:ANGULAR_DIVISION",
         "keystone-resampling": f"{CHAINS}:KEYSTONE_RESAMPLING",
         "high-order-phase": f"{CHAINS}:HIGH_ORDER_PHASE",
-        "hierarchical-backprojection": "blocksar.processors.hierarchical:HIERARCHICAL",
-        "backprojection": "blocksar.processors.exact:EXACT",
+        "hierarchical-backprojection": "blocksar.processors.hierarchy.processor:HIERARCHICAL",
+        "backprojection": "blocksar.processors.exact.processor:EXACT",
         "auto": "blocksar.processors.auto:CHOICE",
     },
     _check,

@@ -20,10 +20,10 @@ from typing import Any
 
 from blocksar.constants import MIB
 from blocksar.errors import InputError
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.processors import AUTO, PROCESSORS, options_for
 from blocksar.processors.base import Bound, Bounding, Comparison, ImagePlan, Problem, is_general, usual_seconds
-from blocksar.processors.chain_tables import digits
+from blocksar.processors.chain.tables import digits
 from blocksar.texts import time_text
 
 # Where an image is not planned whole, coherence is at most, and time at least, what is shown.

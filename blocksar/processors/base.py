@@ -19,8 +19,8 @@ from blocksar.collection.weighting import Weighting
 from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
-from blocksar.planning.strip_segments import PlannedSegment, joint_grid
 from blocksar.planning.tiling import units_of
+from blocksar.processors.chain.planning.strip_segments import PlannedSegment, joint_grid
 from blocksar.progress import Work
 from blocksar.table import Table
 from blocksar.texts import size_text
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from blocksar.graph.machine import Resources
-    from blocksar.graph.segments import Segment
-    from blocksar.graph.stages import ReadSegment
-    from blocksar.graph.tasks import Form, FormParts
     from blocksar.graph.units import Executor
     from blocksar.runs.receipts import Run
     from blocksar.runs.record import PredictedBlock, Receipt
+    from blocksar.tasks.forming import Form, FormParts
+    from blocksar.tasks.segments import Segment
+    from blocksar.tasks.stages import ReadSegment
 
 Window = tuple[slice, slice]
 
@@ -269,7 +269,7 @@ class PartPlan(ImagePlan):
 
     @abstractmethod
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
-        """The function that forms a part of the image from the samples of a piece: see `graph.tasks.FormParts`."""
+        """The function that forms a part of the image from the samples of a piece: see `tasks.forming.FormParts`."""
 
     def memory(self, threads: int) -> int:
         return self.needed
@@ -286,7 +286,7 @@ class PartPlan(ImagePlan):
         return exact_bytes(self.grid, self.terrain, noise=noise)
 
     def form(self, execution: Execution) -> list[Receipt]:
-        from blocksar.graph import stages  # with dask
+        from blocksar.tasks import stages  # with dask
 
         executor, run, segments = execution.executor, execution.run, execution.segments
         read = execution.accept_read("inspect", stages.inspect_samples(executor, segments, run))
@@ -312,10 +312,10 @@ class ChunkPlan(PartPlan):
 
     @abstractmethod
     def forming(self, weighting: Weighting) -> Form:
-        """The function that forms pixels from the samples of a collection: see `graph.tasks.Form`."""
+        """The function that forms pixels from the samples of a collection: see `tasks.forming.Form`."""
 
     def forming_parts(self, number: int, weighting: Weighting) -> FormParts:
-        from blocksar.graph.tasks import each_alone  # with dask
+        from blocksar.tasks.forming import each_alone  # with dask
 
         return partial(each_alone, form=self.forming(weighting))
 

@@ -2,7 +2,7 @@
 
     sigma0 = K |image|^2 / A,    beta0 = sigma0 / sin(incidence),    gamma0 = sigma0 / cos(incidence)
 
-A, m^2, is the area of the point response on the ground (`focusing.response_area`), on a terrain that of its slope; the
+A, m^2, is the area of the point response on the ground (`imaging.response_area`), on a terrain that of its slope; the
 incidence angle is the local one at the middle of the dwell. Broadside, beta0 is that of an area of the slant plane. K,
 m^2, is the radar cross-section of a target that peaks at 1, one number for the image: the samples are free of what
 changes over it, such as the spreading loss, unless patterns say so. Without K all is relative, as if it were 1 m^2.
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.errors import InputError
-from blocksar.focusing.response_area import AreaMap
-from blocksar.focusing.terrain_layers import ROWS, Sight, box_of, level_incidence, slope_factors
+from blocksar.imaging.response_area import AreaMap
+from blocksar.imaging.terrain_layers import ROWS, Sight, box_of, level_incidence, slope_factors
 from blocksar.inspection.samples import Inspection, merge
 from blocksar.kernels.occlusion import VISIBLE
 from blocksar.kernels.phase import Float32Array

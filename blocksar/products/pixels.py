@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from blocksar.arrays import FloatArray
 from blocksar.collection.georeference import Georeference, datum_tie
 from blocksar.errors import InputError, printable
-from blocksar.focusing.terrain_layers import Sight, box_of, by_owner, gamma_factor
+from blocksar.imaging.terrain_layers import Sight, box_of, by_owner, gamma_factor
 from blocksar.kernels.occlusion import UNKNOWN, VISIBLE
 from blocksar.measurement.multilooking import checked_looks, decibels, multilook, power_of
 from blocksar.products.backscatter import BackscatterRun
@@ -53,7 +53,7 @@ class Pixels:
     content : str
         "amplitude": the root of the power; "power": |image|^2; "db": 10 log10 of it; "complex": the image itself. On a
         terrain also "height", m; "incidence", local angle, rad; "visibility", 0 visible, 1 layover, 2 shadow; "gamma":
-        the power times `gamma_factor` of `focusing.terrain_layers`, which removes what slopes do to it, so that level
+        the power times `gamma_factor` of `imaging.terrain_layers`, which removes what slopes do to it, so that level
         ground keeps its power; NaN in layover and shadow.
     looks : (int, int)
         Pixels along y and along x in a cell, whose power is averaged.

@@ -33,7 +33,7 @@ Noise. Where the noise of the samples is known, NoisePoly of Radiometric's Noise
 pixel, dB: 0 dB is that of a target of reflectivity 1.
 
 Backscatter. Where the radar cross-section K of a target that peaks at 1 is known, RCSSFPoly is K, and SigmaZeroSFPoly
-is K / A with the area A of the point response on the ground plane (`focusing.response_area`). BetaZeroSFPoly is that
+is K / A with the area A of the point response on the ground plane (`imaging.response_area`). BetaZeroSFPoly is that
 over the cosine of the angle between ground plane and slant plane, and GammaZeroSFPoly over that of the incidence angle,
 as SICD defines them, both at the centre of aperture. Without K they are not given: the reflectivity then has no unit.
 """
@@ -52,7 +52,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, library_for
-from blocksar.focusing.response_area import AreaMap
+from blocksar.imaging.response_area import AreaMap
 from blocksar.places import Location
 from blocksar.products.backscatter import valid_of
 from blocksar.products.plane_image import PlaneImage, Poly2D, arp_polynomial, fit_poly2d

@@ -1,4 +1,4 @@
-"""Simulation of a scene into a CPHD 1.1.0 file: FX domain, SGN -1, CF8 (see `ingestion.cphd` for the format).
+"""Simulation of a scene into a CPHD 1.1.0 file: FX domain, SGN -1, CF8 (see `readers.cphd` for the format).
 
 CPHD describes the beam by image area, dwell polynomials, antenna frame, boresight and gain.
 
@@ -28,10 +28,10 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError, in_the_way, unwritable
-from blocksar.ingestion.cphd import NAMESPACE, library
 from blocksar.places import Location, place
 from blocksar.places.local import LocalPlace, flush_file, held_part, new_file
 from blocksar.progress.listening import Callback
+from blocksar.readers.cphd import NAMESPACE, library
 from blocksar.simulation.scene import RANGE_GUARD, Scene, next_smooth_even
 from blocksar.simulation.simulate import sampler, write_truth
 from blocksar.version import __version__

@@ -30,9 +30,9 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.terrain import MARGIN, Terrain
 from blocksar.constants import TURN
 from blocksar.errors import InputError
-from blocksar.ingestion.heights import Ground
-from blocksar.ingestion.terrain_earth import Box, ellipsoid, read_around
 from blocksar.kernels.occlusion import STEPS, HeightGrid, find_shadow
+from blocksar.readers.heights import Ground
+from blocksar.readers.terrain_earth import Box, ellipsoid, read_around
 from blocksar.simulation.scene_fields import Positive, Table
 
 RAYS = 1 << 18  # that are followed at a time

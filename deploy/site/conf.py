@@ -27,7 +27,7 @@ ORDER = {
     "Use": """
         Command line <blocksar/cli/README>
         Python <blocksar/api/README>
-        Your data, CPHD, Gotcha <blocksar/ingestion/README>
+        Your data, CPHD, Gotcha <blocksar/readers/README>
         Planning <blocksar/planning/README>
         Runs <blocksar/runs/README>
         Products <blocksar/products/README>
@@ -49,7 +49,7 @@ ORDER = {
         Stores <blocksar/stores/README>""",
     "Background": """
         Method and architecture <blocksar/README>
-        Processors and calibration <blocksar/focusing/README>
+        Processors and calibration <blocksar/processors/README>
         Cost against error <workflows/benchmarks/README>""",
     "Deployment": """
         Overview <deploy/README>

@@ -26,11 +26,11 @@ import typer
 
 import blocksar
 from blocksar import stores
-from blocksar.api import parsing
-from blocksar.api.settings import Settings
+from blocksar.application import parsing
+from blocksar.application.settings import Settings
 from blocksar.cli import endings, option_groups, printing
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.options import options_of, read_values
 from blocksar.progress import Progress
 

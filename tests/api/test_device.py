@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 import blocksar
-from blocksar.api.arguments import gpu_workers
+from blocksar.application.arguments import gpu_workers
 from blocksar.errors import InputError, ProcessingError
 from blocksar.graph import cluster
 from blocksar.kernels import device as devices

@@ -12,7 +12,7 @@ from docstrings import entries
 
 import blocksar
 from blocksar import api
-from blocksar.api.shown import PlanReport, RunReport
+from blocksar.application.shown import PlanReport, RunReport
 from blocksar.products.dataset import SarAccessor
 
 FUNCTIONS = {

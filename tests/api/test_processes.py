@@ -18,7 +18,7 @@ from arrays import arrays
 from distributed import Client, LocalCluster
 
 import blocksar
-from blocksar.api.workforce import choose_workforce
+from blocksar.application.workforce import choose_workforce
 from blocksar.errors import InputError
 
 CALL = "blocksar.focus({store!r}, {out!r}, grid='-9:9:1,-9:9:1', {more})"

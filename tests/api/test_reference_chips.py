@@ -13,7 +13,7 @@ import pytest
 from axis_beams import axis_collection, axis_scene
 
 import blocksar
-from blocksar.api.reference_chips import whole_geometry
+from blocksar.application.reference_chips import whole_geometry
 from blocksar.collection.geometry import over_terrain
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT

@@ -12,8 +12,9 @@ from scenes import scene, write_store
 
 import blocksar
 from blocksar import api
-from blocksar.api import focusing, rehearsing
-from blocksar.api.rehearsing import needed
+from blocksar.api import focusing
+from blocksar.application import rehearsing
+from blocksar.application.rehearsing import needed
 from blocksar.errors import NoRoom, in_python
 from blocksar.places import place
 from blocksar.places.local import LocalPlace

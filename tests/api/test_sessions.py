@@ -17,10 +17,10 @@ from matplotlib import pyplot
 from matplotlib.patches import Polygon
 
 import blocksar
-from blocksar.api.reports import html_report, text_table
-from blocksar.api.shown import PlanReport, RunReport
+from blocksar.application.reports import html_report, text_table
+from blocksar.application.shown import PlanReport, RunReport
 from blocksar.errors import InputError, in_python
-from blocksar.processors.chain_tables import digits
+from blocksar.processors.chain.tables import digits
 from blocksar.progress import Listener, as_listener
 
 GRID = ((-45.0, 45.0, 0.5), (-25.0, 25.0, 0.5))

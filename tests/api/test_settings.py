@@ -15,11 +15,11 @@ from scenes import write_store
 
 import blocksar
 from blocksar import api
-from blocksar.api.jobs import Request
-from blocksar.api.parsing import Axis
-from blocksar.api.settings import COMMANDS, Settings, options_taken
+from blocksar.application.jobs import Request
+from blocksar.application.parsing import Axis
+from blocksar.application.settings import COMMANDS, Settings, options_taken
 from blocksar.collection.grid import Grid
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.measurement.targets import Target
 from blocksar.options import Stated, options_of
 from blocksar.places import Location, place

@@ -12,14 +12,9 @@ from arrays import arrays
 from distributed import Client
 
 import blocksar
-from blocksar.api.arguments import (
-    check_one_frame,
-    control_points,
-    history_of,
-    is_scene,
-)
-from blocksar.api.jobs import records_of
-from blocksar.api.parsing import blocks_of, grid_of, memory_of
+from blocksar.application.arguments import check_one_frame, control_points, history_of, is_scene
+from blocksar.application.jobs import records_of
+from blocksar.application.parsing import blocks_of, grid_of, memory_of
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError

@@ -37,8 +37,8 @@ from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.collection import Collection
 from blocksar.collection.raw_echo import RawEcho
 from blocksar.errors import InputError, in_python
-from blocksar.ingestion.readers import stated_times
 from blocksar.products.pictures.quicklook import checked_colour_map, checked_size
+from blocksar.readers.registry import stated_times
 
 GRID, AWAY = "4040:4121:3,-40:41:3", "9040:9121:3,-40:41:3"
 FOCUS = f"focus ph.zarr --out=new --workers=0 --processor=backprojection --grid={GRID}"

@@ -18,11 +18,11 @@ from rich.console import Console
 from typer.testing import CliRunner, Result
 
 import blocksar
-from blocksar.api import parsing
-from blocksar.api.settings import options_taken
+from blocksar.application import parsing
+from blocksar.application.settings import options_taken
 from blocksar.cli import commands, endings, printing
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing.method import ChainOptions
+from blocksar.imaging.method import ChainOptions
 from blocksar.options import options_of
 from blocksar.progress import Progress
 from blocksar.simulation.scene import Scene

@@ -13,9 +13,9 @@ import typer
 from typer.testing import CliRunner, Result
 
 import blocksar
-from blocksar.api.jobs import Request
-from blocksar.api.rehearsing import RoomBeside, rehearse
-from blocksar.api.settings import Settings
+from blocksar.application.jobs import Request
+from blocksar.application.rehearsing import RoomBeside, rehearse
+from blocksar.application.settings import Settings
 from blocksar.cli import commands
 from blocksar.cli.plan_and_focus import NOT_CONFIGURED
 from blocksar.collection.grid import Grid

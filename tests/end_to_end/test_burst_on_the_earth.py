@@ -13,7 +13,7 @@ import blocksar
 from blocksar import stores
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import MIB
-from blocksar.focusing.backprojection import form_chips
+from blocksar.imaging.backprojection import form_chips
 from blocksar.measurement.coherence import coherence
 
 pytestmark = pytest.mark.slow

@@ -18,7 +18,7 @@ from scenes import scene
 
 import blocksar
 from blocksar import stores
-from blocksar.api import joint
+from blocksar.application import joint
 from blocksar.errors import FolderError, InputError, ProcessingError
 
 TARGETS = """

@@ -16,10 +16,10 @@ from faults import digests
 
 import blocksar
 from blocksar import stores
-from blocksar.api import tracks
+from blocksar.application import tracks
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import form_image
+from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 
 CHANNELS = 'channels = ["HH", "HV"]\n'

@@ -45,7 +45,7 @@ from faults import (
 )
 
 import blocksar
-from blocksar.processors import chain
+from blocksar.processors.chain import processor as chain
 from blocksar.runs import stored_plan
 
 OWN, ALONE = ("--workers", "1", "--memory-limit", "2GiB"), ("--workers", "0")  # the smallest local cluster, and none

@@ -18,7 +18,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.sublooks import entering_side
 from blocksar.errors import InputError
 from blocksar.places import place
-from blocksar.processors.chain import predicted_blocks
+from blocksar.processors.chain.processor import predicted_blocks
 from blocksar.runs.record import RunRecord
 
 SETTINGS: dict[str, Any] = {"workers": 0}

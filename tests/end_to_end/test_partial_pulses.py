@@ -12,14 +12,14 @@ from raw_strips import FAST_TIME, LENGTH, PULSE, RATE, SPEED_OF_LIGHT, STEP, TAR
 
 import blocksar
 from blocksar import stores
-from blocksar.api.pulses import pulse_reader
+from blocksar.application.pulses import pulse_reader
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.range_gate import RawCompression
+from blocksar.imaging.backprojection import form_image
+from blocksar.imaging.noise import NoiseMap
 from blocksar.inspection.samples import count_zero_gaps
+from blocksar.processors.chain.steps.range_gate import RawCompression
 
 GRID = ((-1760.0, 1800.0, STEP), (-40.0, 40.0, STEP))
 

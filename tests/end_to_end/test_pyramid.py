@@ -17,10 +17,10 @@ from passes import fly, focus, points
 
 import blocksar
 from blocksar.collection.grid import Grid
-from blocksar.graph import pyramid_levels
 from blocksar.places import place
 from blocksar.planning.disk import has_pyramid, with_pyramid
 from blocksar.runs.record import RunRecord
+from blocksar.tasks import pyramid_levels
 
 AFFINE = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # by affine, in rioxarray
 GRID = ((-70.0, 60.05, 0.05), (-40.0, 40.25, 0.15))  # 2601 x 535 pixels: partly outside the swath, and odd levels

@@ -19,10 +19,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.ingestion import readers
-from blocksar.ingestion.cphd import Choices
-from blocksar.ingestion.cphd.reader import CPHD
-from blocksar.ingestion.reading import Ingested
+from blocksar.readers import registry as readers
+from blocksar.readers.cphd import Choices
+from blocksar.readers.cphd.reader import CPHD
+from blocksar.readers.reading import Ingested
 from blocksar.simulation import cphd as cphd_simulation
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene

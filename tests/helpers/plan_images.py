@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.focusing.correction import correct
-from blocksar.focusing.recovery import recover_columns
-from blocksar.planning.plan import Plan
+from blocksar.processors.chain.ground.correction import correct
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.steps.recovery import recover_columns
 
 
 def focus(plan: Plan, signal: ComplexArray, z: FloatArray | None = None) -> ComplexArray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import blocksar
-from blocksar.planning.plan import Plan
+from blocksar.processors.chain.planning.plan import Plan
 
 MARGIN = 30.0  # m from the image's edge: room for a chip and for the side lobes of a response
 

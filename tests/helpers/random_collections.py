@@ -20,7 +20,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.backprojection import form_image
+from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence, power_within_reach, referred
 from blocksar.processors.base import ImagePlan
 from blocksar.simulation.scatterers import simulate_pulses

@@ -17,8 +17,8 @@ from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.ingestion.terrain_earth import ellipsoid
 from blocksar.places import place
+from blocksar.readers.terrain_earth import ellipsoid
 from blocksar.simulation.scatterers import field, phase_history
 
 RADIUS, INCLINATION = 7_071_000.0, np.radians(98.2)  # m, of an orbit about 700 km high

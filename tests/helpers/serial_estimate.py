@@ -1,4 +1,4 @@
-"""All stages of an estimate of the track in one process, a slow twin of `graph.track_stages`."""
+"""All stages of an estimate of the track in one process, a slow twin of `tasks.track_stages`."""
 
 from __future__ import annotations
 

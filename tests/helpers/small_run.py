@@ -17,9 +17,9 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.backprojection import form_image
-from blocksar.focusing.noise import NoiseMap
-from blocksar.focusing.terrain_layers import Sight, Strip, box_of, heights_and_angles, visibility
+from blocksar.imaging.backprojection import form_image
+from blocksar.imaging.noise import NoiseMap
+from blocksar.imaging.terrain_layers import Sight, Strip, box_of, heights_and_angles, visibility
 from blocksar.measurement.targets import Target
 from blocksar.runs import finished
 

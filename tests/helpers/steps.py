@@ -16,14 +16,14 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.lines import Line
-from blocksar.focusing.method import DEFAULT, Method
-from blocksar.focusing.recovery import Recovery, recover_columns
-from blocksar.focusing.step import Sampling
+from blocksar.imaging.method import DEFAULT, Method
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.block import BlockPlan, plan_block
-from blocksar.planning.spectrum_recovery import plan_recovery
-from blocksar.planning.target_lines import Dwells, Sector
+from blocksar.processors.chain.dwells.target_lines import Dwells, Sector
+from blocksar.processors.chain.planning.block import BlockPlan, plan_block
+from blocksar.processors.chain.planning.spectrum_recovery import plan_recovery
+from blocksar.processors.chain.steps.lines import Line
+from blocksar.processors.chain.steps.recovery import Recovery, recover_columns
+from blocksar.processors.chain.steps.step import Sampling
 from blocksar.simulation.scatterers import simulate_pulses
 
 Complex128Array = NDArray[np.complex128]

@@ -8,8 +8,8 @@ import numpy as np
 
 from blocksar.arrays import FloatArray
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.focusing.lines import Line
-from blocksar.planning import coefficients
+from blocksar.processors.chain.planning import coefficients
+from blocksar.processors.chain.steps.lines import Line
 
 CARRIER = 15e9
 LAMBDA = SPEED_OF_LIGHT / CARRIER

@@ -16,10 +16,10 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region, plan_region
 from blocksar.errors import InputError
-from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.centroid import Expectation, disagreement, expect, measure_centroid
 from blocksar.inspection.samples import SEGMENTS, Inspection, zero_impossible
-from blocksar.planning.spectrum_recovery import plan_recovery
+from blocksar.processors.chain.planning.spectrum_recovery import plan_recovery
+from blocksar.processors.chain.steps.recovery import Recovery
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene
 

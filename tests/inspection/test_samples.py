@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from samples import clutter
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.focusing.recovery import Recovery
 from blocksar.inspection.centroid import measure_centroid
 from blocksar.inspection.samples import (
     SEGMENTS,
@@ -27,6 +26,7 @@ from blocksar.inspection.samples import (
     zero_impossible,
 )
 from blocksar.kernels.fourier import Axis
+from blocksar.processors.chain.steps.recovery import Recovery
 
 CARRIER, STEP = 10e9, 1e6  # Hz
 

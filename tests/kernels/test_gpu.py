@@ -15,11 +15,11 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.focusing.backprojection import form_points
-from blocksar.focusing.hierarchical_backprojection import form_windows
-from blocksar.focusing.hierarchy import Levels
+from blocksar.imaging.backprojection import form_points
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.device import CPU, device, has_gpu
+from blocksar.processors.hierarchy.derivation import Levels
+from blocksar.processors.hierarchy.parts import form_windows
 
 HERE = os.environ.get("NUMBA_ENABLE_CUDASIM") == "1" or has_gpu()
 on_gpu = pytest.mark.skipif(not HERE, reason="no GPU: these run in numba's simulator, by the first test")

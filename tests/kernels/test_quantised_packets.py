@@ -10,8 +10,8 @@ import pytest
 from sentinel1_packets import encoded
 
 from blocksar.arrays import ComplexArray
-from blocksar.ingestion.sentinel1.packets import read_headers, read_samples
 from blocksar.kernels import quantised_packets as loops
+from blocksar.readers.sentinel1.packets import read_headers, read_samples
 
 
 def decode(data: bytes, kind: int, count: int) -> tuple[ComplexArray, int]:

@@ -22,7 +22,7 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.focusing.backprojection import form_points
+from blocksar.imaging.backprojection import form_points
 from blocksar.measurement.axes import response_axes
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (

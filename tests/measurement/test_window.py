@@ -7,7 +7,7 @@ import pytest
 
 from blocksar.arrays import ComplexArray
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.ingestion.cphd.echoes import energy_in_window
+from blocksar.readers.cphd.echoes import energy_in_window
 
 STEP, N_FREQUENCY, N_PULSE = 400e3, 256, 40  # ranges to 187 m on either side, in bins of 1.5 m
 NEAR, FAR = -40.0, 120.0

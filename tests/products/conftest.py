@@ -14,8 +14,8 @@ from small_run import Made, make
 import blocksar
 from blocksar import stores
 from blocksar.graph.cluster import open_client
-from blocksar.planning.planner import plan_collection
-from blocksar.processors import chain
+from blocksar.processors.chain import processor as chain
+from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.products.page import page
 
 matplotlib.use("Agg")

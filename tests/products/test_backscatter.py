@@ -18,7 +18,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
-from blocksar.focusing.response_area import AreaMap
+from blocksar.imaging.response_area import AreaMap
 from blocksar.inspection.samples import Inspection
 from blocksar.products.backscatter import GroundFactors, valid_pulses
 from blocksar.runs.record import Receipt, RunRecord, RunSegment

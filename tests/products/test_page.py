@@ -26,7 +26,7 @@ import blocksar
 from blocksar import api, stores
 from blocksar.cli import commands
 from blocksar.errors import InputError, ProcessingError
-from blocksar.focusing import method
+from blocksar.imaging import method
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.products.page import facts, page, picture, tables

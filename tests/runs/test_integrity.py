@@ -21,8 +21,8 @@ from scenes import one_target
 import blocksar
 from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
-from blocksar.graph import stages
-from blocksar.processors import chain
+from blocksar.processors.chain import processor as chain
+from blocksar.tasks import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 

@@ -20,18 +20,20 @@ from scenes import one_target, scene, write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.api import jobs
-from blocksar.api.run_stages import any_covered
+from blocksar.application import jobs
+from blocksar.application.run_stages import any_covered
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import FolderError, InputError, ProcessingError
-from blocksar.focusing import step
-from blocksar.graph import stages, tasks, units
+from blocksar.graph import units
 from blocksar.places import place
 from blocksar.planning import memory
+from blocksar.processors.chain.steps import step
 from blocksar.runs import folder
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 from blocksar.simulation.scene import Scene
+from blocksar.tasks import forming as tasks
+from blocksar.tasks import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 

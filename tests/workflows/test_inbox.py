@@ -29,11 +29,12 @@ from scenes import scene, write_store
 
 import blocksar
 from blocksar import stores
-from blocksar.api import joint
+from blocksar.application import joint
 from blocksar.errors import InputError
-from blocksar.graph import cluster, stages
+from blocksar.graph import cluster
 from blocksar.places import place
 from blocksar.runs import folder
+from blocksar.tasks import stages
 
 SCRIPT = WORKFLOWS / "process_inbox.py"
 SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies

@@ -23,7 +23,7 @@ from repository import ROOT
 
 import blocksar
 from blocksar import stores
-from blocksar.api.parsing import parse_grid
+from blocksar.application.parsing import parse_grid
 from blocksar.simulation.scene import Scene
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple
 
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError, PrfTooLow
-from blocksar.planning.plan import Plan
-from blocksar.planning.planner import MAX_BLOCKS, plan_collection
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.planning.planner import MAX_BLOCKS, plan_collection
 from blocksar.simulation.scene import Scene
 
 Tables = dict[str, Any]  # of a scene file, as TOML reads it

@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.folders import empty_folder
 from benchmarks.scenes import Case, Scale, plan_case
 from blocksar.errors import InputError
-from blocksar.planning.planner import plan_collection
+from blocksar.processors.chain.planning.planner import plan_collection
 
 COMMAND = (sys.executable, "-m", "blocksar")
 PLAIN = "from blocksar.graph.compiling import TASKS, compile_modules; compile_modules(TASKS)"  # as `focus` does

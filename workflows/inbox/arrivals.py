@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.ingestion.readers import READERS, found_at
 from blocksar.places.local import LocalPlace
 from blocksar.places.place import Place
+from blocksar.readers.registry import READERS, found_at
 
 MANIFEST = ".acquisition.json"  # ending of a file of the inbox that lists the collections of an acquisition
 

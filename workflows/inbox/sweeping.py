@@ -12,8 +12,8 @@ from typing import Any
 
 import blocksar
 from blocksar import stores
-from blocksar.api.ground import check_ground
-from blocksar.api.track_places import input_fingerprint
+from blocksar.application.ground import check_ground
+from blocksar.application.track_places import input_fingerprint
 from blocksar.cli import endings
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.places.place import Place

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from blocksar.focusing.azimuth_steps import Deramp, FrequencyPerturbation
-from blocksar.focusing.lines import focus
-from blocksar.focusing.range_steps import Compression
 from blocksar.measurement.figures import ProfileQuality, profile_quality
+from blocksar.processors.chain.steps.azimuth_steps import Deramp, FrequencyPerturbation
+from blocksar.processors.chain.steps.lines import focus
+from blocksar.processors.chain.steps.range_steps import Compression
 from blocksar.products.pictures.panels import CURVE_COLOURS, Panel, Style, Trace, plot_panels
 from papers.bench import Bench, plan_scene
 from papers.comparison import ABOVE_QUARTER, QUARTER, Exhibit, Row, below

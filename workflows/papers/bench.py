@@ -15,15 +15,15 @@ from distributed import Client
 import blocksar
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.focusing.method import Method
 from blocksar.graph.cluster import open_client
 from blocksar.graph.machine import machine
+from blocksar.imaging.method import Method
 from blocksar.measurement.figures import PointResponse, measure
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target
 from blocksar.places import place
-from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.runs.finished import FinishedRun
 from blocksar.simulation.scene import Scene
 

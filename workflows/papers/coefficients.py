@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.focusing.lines import focus
 from blocksar.measurement.figures import PointResponse
-from blocksar.planning.plan import Plan
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.steps.lines import focus
 from blocksar.products.pictures.panels import CURVE_COLOURS, LimitLine, Panel, Trace, plot_panels
 from papers.bench import SWATH, Bench, plan_scene
 from papers.comparison import Cell, Exhibit, Row, Table, listed, minus

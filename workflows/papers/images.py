@@ -7,11 +7,11 @@ from functools import partial
 import numpy as np
 
 from blocksar.arrays import ComplexArray, FloatArray
-from blocksar.focusing.step import stages
 from blocksar.measurement.figures import PointResponse
 from blocksar.measurement.targets import Target
-from blocksar.planning.block import BlockPlan
-from blocksar.planning.plan import Plan
+from blocksar.processors.chain.planning.block import BlockPlan
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.steps.step import stages
 from blocksar.products.pictures import blocks
 from blocksar.products.pictures.overview import overview
 from blocksar.products.pictures.panels import Mark, Panel, as_map, plot_panels

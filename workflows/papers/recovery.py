@@ -12,14 +12,14 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import PrfTooLow
-from blocksar.focusing.lines import Line
-from blocksar.focusing.method import Derotation, Method
-from blocksar.focusing.recovery import Recovery
+from blocksar.imaging.method import Derotation, Method
 from blocksar.kernels import rows
 from blocksar.kernels.fourier import Axis, dual, unit_phasor
-from blocksar.planning.plan import Plan
-from blocksar.planning.planner import plan_collection
-from blocksar.planning.target_lines import Dwells
+from blocksar.processors.chain.dwells.target_lines import Dwells
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.planning.planner import plan_collection
+from blocksar.processors.chain.steps.lines import Line
+from blocksar.processors.chain.steps.recovery import Recovery
 from blocksar.products.pictures.panels import CURVE_COLOURS, Map, Mark, Panel, Style, Trace, plot_panels
 from blocksar.simulation.scatterers import simulate_pulses
 from blocksar.simulation.scene import Scene

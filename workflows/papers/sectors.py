@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from blocksar.collection.beam import full_dwell_yaw
-from blocksar.planning.block import BlockPlan
+from blocksar.processors.chain.planning.block import BlockPlan
 from papers.bench import SWATH, geometry, scene
 
 Place = tuple[float, float]  # of a target: epoch range (m) and yaw (rad)

@@ -12,14 +12,14 @@ from scipy.signal import resample
 
 from blocksar.arrays import Complex128Array, ComplexArray, FloatArray
 from blocksar.constants import SINC_WIDTH, SPEED_OF_LIGHT
-from blocksar.focusing.lines import Line, focus
-from blocksar.focusing.range_steps import Compression, RangeCompression, ResidualRangeWalk
-from blocksar.focusing.recovery import recover_columns
-from blocksar.focusing.step import stages
 from blocksar.kernels.fourier import Axis
-from blocksar.planning.block import BlockPlan
-from blocksar.planning.plan import Plan
-from blocksar.planning.target_lines import Dwells
+from blocksar.processors.chain.dwells.target_lines import Dwells
+from blocksar.processors.chain.planning.block import BlockPlan
+from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.chain.steps.lines import Line, focus
+from blocksar.processors.chain.steps.range_steps import Compression, RangeCompression, ResidualRangeWalk
+from blocksar.processors.chain.steps.recovery import recover_columns
+from blocksar.processors.chain.steps.step import stages
 from blocksar.products.pictures.panels import CURVE_COLOURS, LIMIT, Map, Panel, Trace
 from blocksar.simulation.scatterers import simulate_pulses
 from papers.bench import THREADS, geometry, plan_scene

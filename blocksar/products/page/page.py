@@ -26,7 +26,7 @@ import numpy as np
 from blocksar.arrays import FloatArray
 from blocksar.budget import FIDELITY
 from blocksar.errors import InputError, printable
-from blocksar.focusing.method import Method
+from blocksar.imaging.method import Method
 from blocksar.measurement.figures import BARS, DEFINITIONS, PointResponse, excess, limit, rank, worst_excess
 from blocksar.measurement.response import Response, read_response
 from blocksar.measurement.targets import Target

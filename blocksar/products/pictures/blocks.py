@@ -19,7 +19,7 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region
 from blocksar.constants import unit_of_lengths
 from blocksar.measurement.targets import Target
-from blocksar.planning.block import BlockPlan
+from blocksar.processors.chain.planning.block import BlockPlan
 from blocksar.products.pictures.overview import NOT_COVERED, ReadBlock, ReadImage, overview, stretch
 from blocksar.products.pictures.panels import MARK, minus, new_figure, save
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from blocksar.collection.collection import Collection
 from blocksar.errors import InputError
-from blocksar.ingestion.kinds import Kind, begins
-from blocksar.ingestion.readers import Described, Piece, ReaderOptions, Reading
-from blocksar.ingestion.reading import reading
 from blocksar.options import Option
 from blocksar.places import readable
+from blocksar.readers.kinds import Kind, begins
+from blocksar.readers.reading import reading
+from blocksar.readers.registry import Described, Piece, ReaderOptions, Reading
 
 MAGIC = b"MADEUP 1\n"
 AT_ONCE = 256  # pulses

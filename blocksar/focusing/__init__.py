@@ -1,1 +1,0 @@
-"""The signal processing: lines, steps, chains, recovery, geometric correction and back-projection."""

@@ -1,0 +1,1 @@
+"""Chains of steps, as in the three papers: recovery, blocks, geometric correction, mosaic."""
