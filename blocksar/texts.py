@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from blocksar.constants import GIB, MIB
 
+FINE = 0.9999  # coherence from which on it is shown with six decimals
+
 
 def size_text(size: float) -> str:
     """A number of bytes in MiB or GiB.
@@ -49,3 +51,8 @@ def count(n: int, noun: str, plural: str = "") -> str:
     ('1 target', 'no warnings', '73 targets', '2 echoes')
     """
     return f"{n or 'no'} {noun if n == 1 else plural or f'{noun}s'}"
+
+
+def digits(coherence: float) -> str:
+    """Format a coherence with four decimals, or with six if four would round its loss to 0."""
+    return f"{coherence:.{4 if coherence < FINE else 6}f}"

@@ -18,6 +18,7 @@ from blocksar.application.shown import PlanReport
 from blocksar.application.workforce import active_client, size_of
 from blocksar.budget import FIDELITY
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.region import joint_grid
 from blocksar.collection.surface import Surface
 from blocksar.graph.machine import Resources, resources
 from blocksar.imaging.interference import check_band
@@ -26,7 +27,6 @@ from blocksar.places import Location
 from blocksar.planning import effort
 from blocksar.processors import PROCESSORS, OwnDevice, OwnProcessor, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem, plan_image
-from blocksar.processors.chain.planning.strip_segments import joint_grid
 from blocksar.processors.sentences import time_line
 from blocksar.readers.heights import terrain_notes
 

@@ -18,13 +18,12 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import default_grid, facing_grid, grid_extent, plan_region
+from blocksar.collection.region import default_grid, facing_grid, grid_extent, joint_grid, plan_region
 from blocksar.errors import InputError, library_for, quoted
 from blocksar.graph.machine import resources
 from blocksar.imaging import preview as coarse
 from blocksar.kernels.phase import Float32Array
 from blocksar.places import Location, place
-from blocksar.processors.chain.planning.strip_segments import joint_grid
 from blocksar.products.pictures.overview import Overview, cell_edges, range_notes
 from blocksar.products.registry import check_ending
 from blocksar.products.shared_options import parse_range

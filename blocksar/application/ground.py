@@ -14,11 +14,10 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import check_seen, default_grid, plan_region
+from blocksar.collection.region import check_seen, default_grid, joint_grid, plan_region
 from blocksar.collection.terrain import Terrain
 from blocksar.imaging.terrain_layers import Box, Sight, box_of, reach
 from blocksar.places.place import Place
-from blocksar.processors.chain.planning.strip_segments import joint_grid
 from blocksar.readers.heights import Ground
 from blocksar.readers.terrain_earth import read_around
 

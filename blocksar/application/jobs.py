@@ -29,21 +29,22 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.grid import Grid
+from blocksar.collection.region import joint_grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError, PrfTooLow, ProcessingError, Unfocusable, changes_while_read
 from blocksar.graph.machine import Resources
+from blocksar.imaging.compression import RawCompression
 from blocksar.imaging.interference import check_band
 from blocksar.imaging.noise import NoiseMap
 from blocksar.measurement.targets import Target
 from blocksar.places import place
 from blocksar.places.place import Place
 from blocksar.planning import effort
-from blocksar.planning.memory import checked_memory, compression_memory, interference_memory
+from blocksar.planning.memory import checked_memory
+from blocksar.planning.stage_memory import compression_memory, interference_memory
 from blocksar.processors import HIERARCHY, PROCESSORS, device_for, options_for
 from blocksar.processors.base import ImagePlan, Problem, check_taken, plan_image
-from blocksar.processors.chain.planning.strip_segments import joint_grid
-from blocksar.processors.chain.steps.range_gate import RawCompression
 from blocksar.progress import Work
 from blocksar.readers.heights import Ground
 from blocksar.runs import folder as run_folder

@@ -18,15 +18,15 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.collection.region import grid_extent, plan_region
+from blocksar.collection.staying import beam_stays
 from blocksar.collection.sublooks import checked_count, entering_side, look_of
 from blocksar.constants import MIB
 from blocksar.errors import InputError
 from blocksar.graph.machine import Resources
 from blocksar.planning import effort
 from blocksar.processors.base import ImagePlan
-from blocksar.processors.chain.dwells.steadiness import beam_stays
-from blocksar.processors.chain.tables import digits
 from blocksar.processors.sentences import time_line
+from blocksar.texts import digits
 
 
 @dataclass(frozen=True)

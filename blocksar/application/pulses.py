@@ -17,8 +17,8 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
 from blocksar.collection.sublooks import whole_beam
 from blocksar.collection.terrain import Terrain
+from blocksar.imaging.compression import RawCompression
 from blocksar.imaging.recorded_pulses import ROUNDING, recorded_means
-from blocksar.processors.chain.steps.range_gate import RawCompression
 
 
 def pulse_reader(history: stores.PhaseHistory) -> Callable[[slice], ComplexArray]:

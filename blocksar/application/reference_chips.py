@@ -19,10 +19,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.errors import InputError
 from blocksar.graph.machine import machine
-from blocksar.imaging.backprojection import form_chips
 from blocksar.measurement.coherence import ChipComparison, coherence, joint_coherence, power_within_reach, referred
 from blocksar.places import place
 from blocksar.places.place import Place
+from blocksar.processors.exact.sums import form_chips
 from blocksar.runs.finished import FinishedRun
 from blocksar.runs.folder import INPUT, find_input
 from blocksar.runs.record import RunPlan

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from blocksar import stores
-from blocksar.api.checking import check_samples, refuse_real
+from blocksar.application.checks import check_samples, refuse_real
 from blocksar.application.jobs import Job
 from blocksar.collection.georeference import Georeference
 from blocksar.collection.track_shape import find_flaw
@@ -37,7 +37,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import FINISHED, CentroidError, Receipt, RunRecord, SampleCounts
-from blocksar.tasks import stages
+from blocksar.tasks import preparing as stages
 from blocksar.tasks.preparing import CUT, ZERO_GAPS
 from blocksar.tasks.pyramid_levels import build_pyramid
 from blocksar.tasks.segments import Segment, by_collection

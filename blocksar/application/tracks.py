@@ -29,7 +29,8 @@ from blocksar.graph.units import Executor, OnCluster
 from blocksar.imaging.method import Cutting
 from blocksar.measurement.targets import Target
 from blocksar.places.place import Place
-from blocksar.planning.memory import checked_memory, compression_memory, interference_memory, track_memory
+from blocksar.planning.memory import checked_memory
+from blocksar.planning.stage_memory import compression_memory, interference_memory, track_memory
 from blocksar.progress import Listener
 from blocksar.readers.heights import Ground
 from blocksar.runs import folder as run_folder

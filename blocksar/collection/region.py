@@ -595,6 +595,26 @@ def facing_grid(geometry: Geometry) -> Grid:
     return Grid(-half, half, step, -half, half, step)
 
 
+def joint_grid(geometries: Sequence[Geometry]) -> Grid:
+    """The bounding box of the default grids of collections, at the finest of their spacings.
+
+    Raises
+    ------
+    InputError
+        If one of them has no default grid.
+    """
+    grids = [default_grid(geometry, plan_region(geometry, None)) for geometry in geometries]
+    if len(grids) == 1:
+        return grids[0]
+
+    def box(sides: list[tuple[float, float, float]]) -> tuple[float, float, float]:
+        low, high, step = min(side[0] for side in sides), max(side[1] for side in sides), min(side[2] for side in sides)
+        return float(step * round(low / step)), float(step * round(high / step)), step
+
+    x, y = box([(grid.x0, grid.x1, grid.dx) for grid in grids]), box([(grid.y0, grid.y1, grid.dy) for grid in grids])
+    return Grid(*x, *y)
+
+
 def area_grid(geometry: Geometry, x: tuple[float, float], y: tuple[float, float]) -> Grid:
     """A grid that holds an area, m, in steps of half the resolution at its middle, on whole multiples of them."""
     step = _step_at(geometry, sum(x) / 2, sum(y) / 2)

@@ -11,29 +11,20 @@ own command.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from blocksar.arrays import FloatArray
-from blocksar.chunks import IMAGE_CHUNK, LAYER_CHUNKS, MOSAIC_CHUNKS, PYRAMID_LEVELS, TILE
+from blocksar.chunks import IMAGE_CHUNK, LAYER_CHUNKS, PYRAMID_LEVELS, TILE
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.planning.disk import has_pyramid
-from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, touched_chunks, window_around
-from blocksar.processors.chain.planning.plan import Plan, block_work
+from blocksar.planning.tiling import chunks_of, image_chunk, inspection_width, window_around
 from blocksar.progress import Work
 from blocksar.progress.estimate import finishing_times
 
-RECOVER = 3.2e-8  # per written sample of the spectrum
-GATE = 2.6e-8  # per written sample of a range sub-block
-STEPS = 8.5e-11  # per operation of the blocks' transforms and resamplings, as Plan.work counts them
-CORRECT = 2.7e-8  # per written pixel of a patch's chunks
-ON_TERRAIN = 1.3e-8  # more on a terrain: heights, and their part of the correction
-ELEVATION = 5e-7  # more with a pattern in elevation, whose means it divides by
 LAYERS = 1.1e-8  # per pixel of a chunk whose layers are added, on a terrain
-MERGE = 1.3e-8  # per merged pixel of a patch's chunk
 PYRAMID = 1e-9  # per pixel of an image with a pyramid, of the levels after the first
 INSPECT = 2e-8  # per sample
 GPU_UPDATE = 6e-12  # per lit pulse and pixel, on a GPU
@@ -66,37 +57,10 @@ THREAD_GAIN = 0.5  # of a further thread of a worker, over the first: 0.9 of two
 FOCUS: Work = dict.fromkeys(("plan", "compile", "start-workers", "recover", "focus", "mosaic", "finish"), ())
 
 
-def _layers(chunks: int, side: tuple[int, int]) -> Work:
+def of_layers(chunks: int, side: tuple[int, int]) -> Work:
     """Work of the terrain layers of `chunks` image chunks of `side` pixels; empty without chunks."""
     counts = [min(chunks - first, LAYER_CHUNKS) for first in range(0, chunks, LAYER_CHUNKS)]
     return {"layers": [LAYERS * count * side[0] * side[1] for count in counts]} if counts else {}
-
-
-def of_plan(plan: Plan) -> Work:
-    """Work of focusing by a plan, without that of a raw echo."""
-    collection, side = plan.geometry.collection, image_chunk(plan.grid)
-    written = CORRECT
-    written += 0.0 if plan.geometry.terrain is None else ON_TERRAIN
-    written += 0.0 if collection.elevation_pattern is None else ELEVATION
-    columns = np.diff([*range(0, collection.n_range_frequency, plan.column_group), collection.n_range_frequency])
-    chunks = [touched_chunks(block.ground, plan.grid) for block in plan.blocks]
-    patches = Counter(chunk for touched in chunks for chunk in touched)  # by chunk of the mosaic
-    merged = [patches[chunk] for chunk in sorted(patches) if patches[chunk] > 1]
-    layered = 0 if plan.geometry.terrain is None else len(patches)
-    stages = {
-        "recover": (RECOVER * plan.recovery.doppler.size * columns).tolist(),
-        **_gating(plan),
-        "focus": [
-            STEPS * block_work(block) + written * len(touched) * side[0] * side[1]
-            for block, touched in zip(plan.blocks, chunks, strict=True)
-        ],
-        "mosaic": [
-            MERGE * sum(merged[first : first + MOSAIC_CHUNKS]) * side[0] * side[1]
-            for first in range(0, len(merged), MOSAIC_CHUNKS)
-        ],
-        **_layers(layered, side),
-    }
-    return stages | {"finish": [FINISH]}
 
 
 def of_pyramid(grid: Grid, asked: bool | None = None) -> dict[str, list[float]]:
@@ -112,13 +76,6 @@ def together(works: Sequence[Work]) -> Work:
     """Combine the work of several segments stage by stage."""
     stages = dict.fromkeys(stage for work in works for stage in work)
     return {stage: [cost for work in works for cost in work.get(stage, ())] for stage in stages} | {"finish": [FINISH]}
-
-
-def _gating(plan: Plan) -> dict[str, list[float]]:
-    """Work of the range gates; empty without sub-blocks."""
-    groups = plan.gate_spans()
-    seconds = STEPS * plan.gate_work() + GATE * plan.gated_samples()
-    return {"gate": [seconds / len(groups)] * len(groups)} if groups else {}
 
 
 def of_chunks(
@@ -137,7 +94,7 @@ def of_parts(geometries: Sequence[Geometry], grid: Grid, stage: str, costs: Sequ
         n_tasks = math.ceil(collection.n_range_frequency / inspection_width(collection))
         inspect += [INSPECT * collection.n_pulse * collection.n_range_frequency / n_tasks] * n_tasks
     layered = 0 if geometries[0].terrain is None else len(chunks_of(grid))
-    return {"inspect": inspect, stage: costs, **_layers(layered, image_chunk(grid)), "finish": [FINISH]}
+    return {"inspect": inspect, stage: costs, **of_layers(layered, image_chunk(grid)), "finish": [FINISH]}
 
 
 def of_demo(*, simulated: bool, compiled: bool) -> Work:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 from blocksar.arrays import FloatArray
 from blocksar.chunks import IMAGE_CHUNK, SIGNAL_BYTES, TILE
 from blocksar.collection.collection import Collection
-from blocksar.collection.geometry import Level
 from blocksar.collection.grid import Grid
-from blocksar.processors.chain.ground.correction import touched
-from blocksar.processors.chain.ground.ground_map import GroundMap
+
+Window = tuple[slice, slice]  # rows and columns
 
 
 def image_chunk(grid: Grid) -> tuple[int, int]:
@@ -56,33 +54,11 @@ def chunk_window(cell: tuple[int, int], grid: Grid) -> tuple[slice, slice]:
     return slice(y, min(y + side[0], grid.shape[0])), slice(x, min(x + side[1], grid.shape[1]))
 
 
-def patch_window(ground: GroundMap, grid: Grid) -> tuple[int, int, int, int]:
-    """First row, first column, rows and columns of a block's patch: whole image chunks around its sector."""
-    yaw = np.linspace(ground.low, ground.high, 257)
-    geometry = ground.geometry
-    planes, ends = [geometry.over(None, Level(z)) for z in {*ground.levels}], np.array([[ground.near], [ground.far]])
-    corners = np.concatenate([plane.ground_point(ends, yaw) for plane in planes])
-    side = image_chunk(grid)
-    spans = []
-    for axis, values, chunk, step in ((1, grid.y, side[0], grid.dy), (0, grid.x, side[1], grid.dx)):
-        # Between two samples the outline bulges by less than this.
-        bulge = ground.far * (yaw[1] - yaw[0]) ** 2 + step
-        low, high = np.nanmin(corners[..., axis]) - bulge, np.nanmax(corners[..., axis]) + bulge
-        first = int(np.clip(np.searchsorted(values, low), 0, values.size - 1)) // chunk * chunk
-        last = int(np.clip(np.searchsorted(values, high), 1, values.size))
-        spans.append((first, min(-(-last // chunk) * chunk, values.size) - first))
-    return spans[0][0], spans[1][0], spans[0][1], spans[1][1]
-
-
-def touched_chunks(ground: GroundMap, grid: Grid) -> list[tuple[int, int]]:
-    """Row and column of each image chunk that a block may own pixels of."""
-    first_y, first_x, n_y, n_x = patch_window(ground, grid)
-    side = image_chunk(grid)
-    x, y = grid.x[first_x : first_x + n_x], grid.y[first_y : first_y + n_y]
-    first = touched(ground, x=x, y=y, side=side)
-    return [(int(first_y + row) // side[0], int(first_x + column) // side[1]) for row, column in first]
-
-
 def inspection_width(collection: Collection) -> int:
     """Number of range frequencies that one task inspects."""
     return min(max(SIGNAL_BYTES // (8 * collection.n_pulse), 1), TILE[1])
+
+
+def chunk_spans(first: int, last: int, size: int) -> Iterator[tuple[int, int]]:
+    """Divide first .. last at multiples of `size`, the borders of a store's chunks."""
+    return pairwise(sorted({first, *range(first - first % size + size, last, size), last}))

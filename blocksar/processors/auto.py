@@ -23,8 +23,7 @@ from blocksar.errors import InputError
 from blocksar.imaging.method import ChainOptions
 from blocksar.processors import AUTO, PROCESSORS, options_for
 from blocksar.processors.base import Bound, Bounding, Comparison, ImagePlan, Problem, is_general, usual_seconds
-from blocksar.processors.chain.tables import digits
-from blocksar.texts import time_text
+from blocksar.texts import digits, time_text
 
 # Where an image is not planned whole, coherence is at most, and time at least, what is shown.
 HEADER = ("processor", "coherence", "time, usual pace", "memory (MiB)", "disk (MiB)", "keeps the fidelity")

@@ -12,7 +12,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import check_seen
+from blocksar.collection.region import check_seen, joint_grid
 from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
@@ -20,7 +20,7 @@ from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.tiling import units_of
-from blocksar.processors.chain.planning.strip_segments import PlannedSegment, joint_grid
+from blocksar.processors.chain.planning.plan import Plan
 from blocksar.progress import Work
 from blocksar.table import Table
 from blocksar.texts import size_text
@@ -37,6 +37,29 @@ if TYPE_CHECKING:
     from blocksar.tasks.stages import ReadSegment
 
 Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedSegment:
+    """A collection, or some pulses of one, that an image is formed from.
+
+    Attributes
+    ----------
+    collection : int
+        Number of the collection.
+    pulses : (first, last) or None
+        Its pulses first <= p < last; None for all of them.
+    geometry : Geometry
+        Over the ground of the image.
+    plan : Plan or None
+        Of a chain. Its blocks are numbered after those of the segments before it: from `first_block` on.
+    """
+
+    collection: int
+    pulses: tuple[int, int] | None = None
+    geometry: Geometry
+    plan: Plan | None = None
+    first_block: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

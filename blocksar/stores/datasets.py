@@ -31,13 +31,7 @@ from blocksar.stores.contract import (
     refuse_filled,
 )
 from blocksar.stores.creation import create_phase_history, history_line
-from blocksar.stores.phase_history import (
-    PhaseHistory,
-    collection_from,
-    not_one_of_two,
-    open_phase_history,
-    other_attrs,
-)
+from blocksar.stores.phase_history import PhaseHistory, collection_from, not_one_of_two, open_phase_history, other_attrs
 from blocksar.stores.records import json_checksum, plain_value
 from blocksar.stores.regions import metadata_file, write_region
 

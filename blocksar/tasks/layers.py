@@ -29,8 +29,7 @@ from blocksar.imaging.terrain_layers import (
 )
 from blocksar.kernels.occlusion import UNKNOWN
 from blocksar.kernels.terrain_rows import SeenGround
-from blocksar.planning.tiling import chunk_window
-from blocksar.processors.chain.tasks.spectrum import Window
+from blocksar.planning.tiling import Window, chunk_window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Written
 

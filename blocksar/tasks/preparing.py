@@ -2,115 +2,29 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from blocksar import stores
-from blocksar.arrays import ComplexArray
+from blocksar.chunks import TILE
+from blocksar.collection.collection import Collection
+from blocksar.errors import InputError, ProcessingError
+from blocksar.graph.units import Executor, Unit
+from blocksar.imaging.compression import RawCompression
 from blocksar.imaging.interference import cut_interference
 from blocksar.imaging.method import Cutting
 from blocksar.inspection.samples import count_zero_gaps, zero_impossible
-from blocksar.kernels.rows import Program
-from blocksar.processors.chain.steps.range_gate import RangeGate, RawCompression
-from blocksar.processors.chain.steps.recovery import Recovery, recover_columns
-from blocksar.processors.chain.tasks.spectrum import SpectrumChunks, Window, WritesBehind, chunk_spans, stays_cached
+from blocksar.planning.tiling import chunk_spans
 from blocksar.runs.receipts import Run, write
-from blocksar.runs.record import Receipt, Written
+from blocksar.runs.record import Receipt
+from blocksar.tasks.segments import Segment, by_collection
 
 # Keys of findings in receipts: interference cut from a group of pulses, and zeros that look like gaps in its echo.
 CUT, ZERO_GAPS = "interference", "zero_gaps"
-
-
-@dataclass(frozen=True)
-class Gated:
-    """A range sub-block and its gated spectrum.
-
-    Attributes
-    ----------
-    block : str
-        Its name.
-    gate : RangeGate
-    first_bin : int
-        Doppler bin at which the gate begins.
-    store_bin : int
-        Doppler bin of the first row of the store.
-    chunk : (int, int)
-        Doppler bins and range frequencies of a chunk of the store.
-    """
-
-    block: str
-    gate: RangeGate
-    first_bin: int
-    store_bin: int
-    chunk: tuple[int, int]
-
-    def common(self, first: int, last: int) -> tuple[int, int]:
-        """Intersect Doppler bins first .. last - 1 with the gate's; first >= last if they share none."""
-        return max(first, self.first_bin), min(last, self.first_bin + self.gate.n_row)
-
-    def within(self, first: int, last: int) -> Gated:
-        """Limit the gate to the bins first .. last - 1."""
-        first, last = self.common(first, last)
-        gate = self.gate.within(first - self.first_bin, last - self.first_bin)
-        return replace(self, gate=gate, first_bin=first)
-
-
-def gate_bins(
-    run: Run, unit: str, bins: tuple[int, int], spectrum: SpectrumChunks, targets: Sequence[Gated]
-) -> Receipt:
-    """Gate Doppler bins in range, whole chunks of the spectrum, for all sub-blocks that contain some of them.
-
-    Chunks are written by other threads while the next ones are computed.
-    """
-    started = time.perf_counter()
-    values = spectrum.read((slice(*bins), slice(0, spectrum.shape[1])))
-    reading = time.perf_counter() - started
-    transform, group = targets[0].gate.to_delay, targets[0].chunk[0]
-    to_delay = Program([transform], source=transform.source, n_row=group)
-    delays = np.empty((group, transform.period), np.complex64)
-    with WritesBehind() as behind:
-        for first, last in chunk_spans(*bins, group):
-            touched = [target for target in targets if target.common(first, last)[1] > target.common(first, last)[0]]
-            if touched:
-                to_delay.run(values[first - bins[0] : last - bins[0]], out=delays, threads=run.threads)
-            for target in touched:
-                turn = behind.turn()
-                rows = _gate(target, delays, (first, last), threads=run.threads)
-                turn.submit(_write_rows, run, target, rows, first)
-        computed = time.perf_counter()
-    steps = {
-        "read-spectrum": reading,
-        RangeGate.name: computed - started - reading - behind.waited,
-        "write-gated": time.perf_counter() - computed + behind.waited,
-    }
-    return Receipt(unit=unit, stage="gate", written=behind.written, steps=steps)
-
-
-def _gate(target: Gated, delays: ComplexArray, bins: tuple[int, int], *, threads: int) -> ComplexArray:
-    """Compute the gated rows of bins from their delays; zero outside the slab."""
-    first, last = target.common(*bins)
-    part = delays[first - bins[0] : last - bins[0]]
-    rows = target.gate.from_delay.run(part, first=first - target.first_bin, threads=threads)
-    if (first, last) == bins:
-        return rows
-    whole = np.empty((bins[1] - bins[0], rows.shape[1]), np.complex64)
-    whole[: first - bins[0]] = 0
-    whole[first - bins[0] : last - bins[0]] = rows
-    whole[last - bins[0] :] = 0
-    return whole
-
-
-def _write_rows(run: Run, target: Gated, rows: ComplexArray, first: int) -> list[Written]:
-    """Write rows that start at a Doppler bin, by the store's chunks of columns."""
-    bins = slice(first - target.store_bin, first - target.store_bin + rows.shape[0])
-    return [
-        write(run, run.gated(target.block), "spectrum", (bins, slice(a, b)), np.ascontiguousarray(rows[:, a:b]))
-        for a, b in chunk_spans(0, rows.shape[1], target.chunk[1])
-    ]
 
 
 def prepare_pulses(
@@ -146,56 +60,47 @@ def prepare_pulses(
     return Receipt(unit=unit, stage=stage, written=(part,), found=found)
 
 
-def recover_group(
-    run: Run,
-    unit: str,
-    source: stores.PhaseHistory,
-    columns: tuple[int, int],
-    recovery: Recovery,
-    chunk: tuple[int, int],
-) -> Receipt:
-    """Recover the spectrum of a column group by chunks of columns; missing and impossible samples count as unlit.
+def prepare_samples(
+    executor: Executor, segments: Sequence[Segment], run: Run
+) -> tuple[list[Segment], list[list[Receipt]]]:
+    """Range-compress raw echoes and cut interference where needed, once for each collection.
 
-    Chunks are written by other threads while the next columns are recovered.
+    Returns the segments as they are then read, and receipts of each.
+
+    The receipts are those of the segment's whole collection, with its first segment only.
     """
-    height, width = chunk
-    signal = source.read(slice(None), slice(*columns))
-    frequency = source.collection.carrier + source.collection.range_frequency - recovery.carrier
-    inspection = zero_impossible(
-        signal, range_frequency=frequency[slice(*columns)], recovery=recovery, first_column=columns[0],
-        threads=run.threads,
-    )  # fmt: skip
-    cached = stays_cached((recovery.doppler.size, source.collection.n_range_frequency))
-    memories = [
-        np.empty(recovery.doppler.size * width, np.complex64) for _ in range(min(2, -(-signal.shape[1] // width)))
-    ]
-    with WritesBehind(len(memories)) as behind:
-        for first in range(columns[0], columns[1], width):
-            turn, part = behind.turn(), slice(first, min(first + width, columns[1]))
-            shape = (recovery.doppler.size, part.stop - part.start)
-            spectrum = recover_columns(
-                signal[:, part.start - columns[0] : part.stop - columns[0]],
-                range_frequency=frequency[part],
-                recovery=recovery,
-                threads=run.threads,
-                out=memories[turn.memory][: shape[0] * shape[1]].reshape(shape),
-            )
-            # One entry for each chunk, so that a block can check those that it reads.
-            for bins in chunk_spans(0, shape[0], height):
-                turn.submit(_write_bins, run, (slice(*bins), part), spectrum[slice(*bins)], cached=cached)
-    return Receipt(unit=unit, stage="recover", written=behind.written, found=inspection.as_dict())
+    units: list[Unit] = []
+    for first, *_ in by_collection(segments).values():
+        raw = first.source.raw
+        if raw is None and first.interference is None:
+            continue
+        own, whole = first.of(run), first.source
+        run.establish(own.compressed, partial(_create_compressed, own, whole.collection, raw is not None))
+        compression = None if raw is None else RawCompression.of_echo(raw, whole.collection)
+        step = "interference" if compression is None else "compress"
+        for pulses in chunk_spans(0, whole.collection.n_pulse, TILE[0]):
+            arguments = whole.within(pulses=slice(*pulses)), pulses, compression, first.interference
+            name = own.unit_of_collection(f"pulses-{pulses[0]}")
+            units.append(Unit(step, own, name, prepare_pulses, arguments, reads_input=True))
+    if not units:
+        return list(segments), [[] for _ in segments]
+    stage = "interference" if all(segment.source.raw is None for segment in segments) else "range-compress"
+    receipts: dict[int | None, list[Receipt]] = {unit.run.collection: [] for unit in units}
+    for unit, receipt in zip(units, executor.run_units(stage, units, per_worker=2), strict=True):
+        receipts[unit.run.collection].append(receipt)
+    try:
+        opened = {
+            number: replace(stores.open_phase_history(group[0].of(run).compressed).pinned(), look=group[0].source.look)
+            for number, group in by_collection(segments).items()
+            if number in receipts
+        }
+    except InputError as error:  # about the run's own store, not about the input
+        raise ProcessingError(str(error)) from error
+    ready = [replace(segment, source=opened.get(segment.collection, segment.source)) for segment in segments]
+    return ready, [receipts.pop(segment.collection, []) for segment in segments]
 
 
-def _write_bins(run: Run, region: Window, values: ComplexArray, *, cached: bool) -> list[Written]:
-    """Write part of the spectrum."""
-    return [write(run, run.spectrum, "spectrum", region, values, cached=cached)]
-
-
-def inspect_group(run: Run, unit: str, source: stores.PhaseHistory, columns: tuple[int, int]) -> Receipt:
-    """Inspect a column group without recovery, for back-projection, which reads by pulse."""
-    signal = source.read(slice(None), slice(*columns))
-    frequency = source.collection.range_frequency[slice(*columns)]
-    inspection = zero_impossible(
-        signal, range_frequency=frequency, recovery=None, first_column=columns[0], threads=run.threads
-    )
-    return Receipt(unit=unit, stage="inspect", found=inspection.as_dict())
+def _create_compressed(run: Run, collection: Collection, of_echo: bool) -> None:
+    # The noise of an echo is that of its samples, not of the signal's.
+    stored = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
+    stores.create_phase_history(run.compressed, stored, overwrite=True)

@@ -12,7 +12,7 @@ from blocksar import stores
 from blocksar.chunks import IMAGE_CHUNK, PYRAMID_LEVELS
 from blocksar.graph.units import Executor, Unit
 from blocksar.kernels.halving import halve
-from blocksar.processors.chain.tasks.spectrum import Window
+from blocksar.planning.tiling import Window
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 

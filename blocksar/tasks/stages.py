@@ -7,39 +7,27 @@ interrupted run resumes from its receipts.
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from itertools import chain
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from blocksar import stores
-from blocksar.arrays import FloatArray
-from blocksar.chunks import LAYER_CHUNKS, MOSAIC_CHUNKS, TILE
-from blocksar.collection.beam import margins_over
-from blocksar.collection.collection import Collection
+from blocksar.chunks import LAYER_CHUNKS
 from blocksar.collection.empty_pulses import missing_pulses
 from blocksar.collection.grid import Grid
 from blocksar.collection.sublooks import whole_beam
-from blocksar.errors import InputError, ProcessingError
+from blocksar.errors import InputError
 from blocksar.graph.units import Executor, Unit
 from blocksar.imaging.noise import NoiseMap
 from blocksar.imaging.terrain_layers import Sight, box_of
 from blocksar.inspection.samples import Inspection, merge, refusal
-from blocksar.planning.tiling import chunk_window, image_chunk, inspection_width, patch_window, touched_chunks
-from blocksar.processors.chain.planning.block import BlockPlan
-from blocksar.processors.chain.planning.plan import Plan
-from blocksar.processors.chain.steps.range_gate import RawCompression
-from blocksar.processors.chain.tasks.patching import Patch, PatchChunk, merge_chunks, write_patch
-from blocksar.processors.chain.tasks.spectrum import SpectrumChunks, Window, chunk_spans
+from blocksar.planning.tiling import Window, chunk_spans, image_chunk, inspection_width
 from blocksar.runs.receipts import Run
-from blocksar.runs.record import Receipt, Written, block_unit
-from blocksar.tasks.forming import FormParts, PixelSource, add_layers, form_chunks, read_slab, run_stage
-from blocksar.tasks.preparing import Gated, gate_bins, inspect_group, prepare_pulses, recover_group
-from blocksar.tasks.segments import Segment, by_collection
+from blocksar.runs.record import Receipt, Written
+from blocksar.tasks.forming import FormParts, PixelSource, add_layers, form_chunks
+from blocksar.tasks.inspecting import inspect_group
+from blocksar.tasks.segments import Segment
 
 Parts = defaultdict[str, list[Written]]  # regions written by units, by store
 
@@ -53,39 +41,9 @@ class ReadSegment(NamedTuple):
     noise: NoiseMap | None = None
 
 
-def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
-    """Recover the spectrum of every segment into its spectrum.zarr.
-
-    Raises
-    ------
-    InputError
-        If the samples are not those of a radar.
-    """
-    units: list[Unit] = []
-    for segment in segments:
-        plan, own = segment.planned, segment.of(run)
-        run.establish(own.spectrum, partial(_create_spectrum, own, plan), volatile=["lit"])
-        more = plan.recovery, plan.spectrum_chunk
-        units += _column_groups("recover", segment, run, plan.column_group, recover_group, *more)
-    recovered = _read(executor, "recover", segments, units)
-    for each in recovered:
-        stores.write_region(each.segment.of(run).spectrum, "lit", (slice(None),), each.inspection.lit)
-    return recovered
-
-
-def _reads_input(segment: Segment, run: Run) -> bool:
+def reads_input(segment: Segment, run: Run) -> bool:
     """Tell whether a segment's samples are read from the input, not from the run's own prepared store."""
     return segment.history.path != segment.of(run).compressed
-
-
-def _create_spectrum(run: Run, plan: Plan) -> None:
-    collection = plan.geometry.collection
-    stores.create(
-        run.spectrum, stores.SPECTRUM, sizes={}, attrs={"title": collection.title}, overwrite=True,
-        coords={"doppler": plan.recovery.doppler.values, "range_frequency": collection.range_frequency},
-        variables={"lit": np.full(collection.n_pulse, np.nan)},
-        chunks=dict(zip(("doppler", "range_frequency"), plan.spectrum_chunk, strict=True)),
-    )  # fmt: skip
 
 
 def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
@@ -99,11 +57,11 @@ def inspect_samples(executor: Executor, segments: Sequence[Segment], run: Run) -
     units: list[Unit] = []
     for segment in segments:
         width = inspection_width(segment.history.collection)
-        units += _column_groups("inspect", segment, run, width, inspect_group)
-    return _read(executor, "inspect", segments, units)
+        units += column_groups("inspect", segment, run, width, inspect_group)
+    return read_samples(executor, "inspect", segments, units)
 
 
-def _column_groups(
+def column_groups(
     step: str, segment: Segment, run: Run, width: int, task: Callable[..., Receipt], *more: object
 ) -> list[Unit]:
     """Make the units that read a segment's samples, `width` columns each; `more` are further arguments of the task."""
@@ -111,11 +69,13 @@ def _column_groups(
     for columns in chunk_spans(0, history.collection.n_range_frequency, width):
         name = own.unit_of_segment(f"columns-{columns[0]}")
         arguments = history.within(columns=slice(*columns)), columns, *more
-        units.append(Unit(step, own, name, task, arguments, reads_input=_reads_input(segment, run)))
+        units.append(Unit(step, own, name, task, arguments, reads_input=reads_input(segment, run)))
     return units
 
 
-def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]) -> list[ReadSegment]:
+def read_samples(
+    executor: Executor, stage: str, segments: Sequence[Segment], units: Sequence[Unit]
+) -> list[ReadSegment]:
     """Run units that read the samples of segments, and merge the inspections of each segment."""
     receipts, read = executor.run_units(stage, units, ahead=True), []
     for segment in segments:
@@ -124,167 +84,12 @@ def _read(executor: Executor, stage: str, segments: Sequence[Segment], units: Se
     return read
 
 
-def gate_ranges(executor: Executor, recovered: Sequence[ReadSegment], run: Run) -> list[Receipt]:
-    """Gate spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
-    units: list[Unit] = []
-    for segment, receipts, *_ in recovered:
-        plan, own = segment.planned, segment.of(run)
-        targets = [
-            Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
-            for block in plan.blocks
-            if block.range_gate is not None
-        ]
-        if not targets:
-            continue
-        for block in plan.blocks:
-            run.establish(own.gated(block.name), partial(_create_gated, own, plan, block))
-        spectrum = _whole_spectrum(plan, own, _parts(receipts))
-        for bins in plan.gate_spans():
-            some = [target.within(*bins) for target in targets if target.common(*bins)[0] < target.common(*bins)[1]]
-            name = own.unit_of_segment(f"bins-{bins[0]}")
-            arguments = bins, spectrum.within(*bins), some
-            units.append(Unit("gate", own, name, gate_bins, arguments, title=f"range-gate of {name}"))
-    return executor.run_units("gate", units, per_worker=2) if units else []
-
-
-def _create_gated(run: Run, plan: Plan, block: BlockPlan) -> None:
-    first, last = plan.gated_bins(block)
-    stores.create(
-        run.gated(block.name), stores.GATED, sizes={}, attrs={"title": f"block {block.name}"}, overwrite=True,
-        coords={
-            "doppler": plan.recovery.doppler.part(first, last - first).values,
-            "range_frequency": block.sampling.range_frequency.values,
-        },
-        chunks=dict(zip(("doppler", "range_frequency"), plan.gated_chunk(block), strict=True)),
-    )  # fmt: skip
-
-
-def _parts(receipts: Iterable[Receipt]) -> Parts:
+def written_parts(receipts: Iterable[Receipt]) -> Parts:
     """Collect the written parts of each store from receipts."""
     parts = Parts(list)
     for part in chain.from_iterable(receipt.written for receipt in receipts):
         parts[part.store].append(part)
     return parts
-
-
-def _whole_spectrum(plan: Plan, run: Run, parts: Parts) -> SpectrumChunks:
-    shape = plan.recovery.doppler.size, plan.geometry.collection.n_range_frequency
-    written = parts[run.name_of(run.spectrum)]
-    return SpectrumChunks.of(run.spectrum, written, shape=shape, chunk=plan.spectrum_chunk, recovered=True)
-
-
-def _gated_spectrum(plan: Plan, run: Run, block: BlockPlan, parts: Parts) -> SpectrumChunks:
-    first, last = plan.gated_bins(block)
-    store = run.gated(block.name)
-    return SpectrumChunks.of(
-        store, parts[run.name_of(store)], first_bin=first, chunk=plan.gated_chunk(block),
-        shape=(last - first, block.sampling.range_frequency.size),
-    )  # fmt: skip
-
-
-def focus_blocks(
-    executor: Executor, recovered: Sequence[ReadSegment], run: Run, receipts: Sequence[Receipt]
-) -> list[Receipt]:
-    """Focus every block, from its segment's spectrum to patches/<block>, each by its own chain of tasks.
-
-    The receipts of recovery and of the range gates have the checksums of spectra.
-    """
-    # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
-    # task has written to.
-    blocks = [(each, block) for each in recovered for block in each.segment.planned.blocks]
-    grid = recovered[0].segment.planned.grid
-    for _, block in blocks:
-        run.establish(run.patch(block.name), partial(_create_patch, run, block, grid))
-    chunks = [touched_chunks(block.ground, grid) for _, block in blocks]
-    touching = Counter(cell for cells in chunks for cell in cells)
-    parts, spectra = _parts(receipts), dict[int | None, SpectrumChunks]()
-    units: list[Unit] = []
-    for position, ((each, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
-        segment = each.segment
-        plan, own, number = segment.planned, segment.of(run), segment.number
-        if block.range_gate is not None:
-            slab = _gated_spectrum(plan, own, block, parts)
-        else:
-            slab = spectra[number] = spectra.get(number) or _whole_spectrum(plan, own, parts)
-        alone = frozenset(cell for cell in cells if touching[cell] == 1)
-        ground = replace(block.ground, valid=each.inspection.lit)
-        patch = Patch(ground=ground, grid=plan.grid, own=alone, noise=each.noise)
-        units.append(_chain(own, block, slab, patch, -position))
-    return executor.run_units("focus", units)
-
-
-def _create_patch(run: Run, block: BlockPlan, grid: Grid) -> None:
-    first_y, first_x, n_y, n_x = patch_window(block.ground, grid)
-    side = image_chunk(grid)
-    stores.create(
-        run.patch(block.name), stores.PATCH, sizes={}, attrs={"title": f"block {block.name}"}, overwrite=True,
-        coords={"x": grid.x[first_x : first_x + n_x], "y": grid.y[first_y : first_y + n_y]},
-        chunks={"y": side[0], "x": side[1]},
-    )  # fmt: skip
-
-
-def _chain(run: Run, block: BlockPlan, spectrum: SpectrumChunks, patch: Patch, priority: int) -> Unit:
-    """Make the unit of a block: its last task, with the tasks before it.
-
-    All have the priority of the block: a worker finishes the chain that it has begun before it starts another.
-    """
-
-    def task(step: str, function: Callable[..., Any], *arguments: Any, after: tuple[Unit, ...] = ()) -> Unit:
-        title = f"{step} of block {block.name}"
-        return Unit(step, run, block_unit(block.name), function, arguments, after, title=title, priority=priority)
-
-    first, *rest = block.stages
-    slab = spectrum.within(block.first_bin, block.first_bin + block.n_bin)
-    node = task(f"read-slab+{first.name}", read_slab, block, first, slab)
-    for stage in rest:
-        node = task(stage.name, run_stage, block, stage, after=(node,))
-    return task("geometric-correction", write_patch, block, patch, after=(node,))
-
-
-def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Receipt]) -> None:
-    """Remove the recovered spectra and the gated ones."""
-    for segment in segments:
-        own = segment.of(run)
-        own.discard(own.spectrum, receipts)
-        for block in segment.planned.blocks:
-            if block.range_gate is not None:
-                own.discard(own.gated(block.name), receipts)
-
-
-def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patches: Sequence[Receipt]) -> list[Receipt]:
-    """Merge patches into image.zarr, one output chunk at a time, where several blocks may own pixels.
-
-    Chunks that only one block touches are there already; those that no block covers are not written.
-    """
-    segments = [each.segment for each in recovered]
-    grid = segments[0].planned.grid
-    cells = {
-        cell: [part for part, _ in parts]
-        for cell, parts in _patch_chunks(segments, run, patches).items()
-        if not all(complete for _, complete in parts)
-    }
-    known = {each.segment.number or 0: each.noise for each in recovered if each.noise is not None}
-    ordered = sorted(cells)
-    units = []
-    for first, end in chunk_spans(0, len(ordered), MOSAIC_CHUNKS):
-        group = {cell: cells[cell] for cell in ordered[first:end]}
-        margins = {cell: _margins(segments, cell, grid, parts) for cell, parts in group.items()}
-        name = "chunk-{}-{}".format(*ordered[first])
-        arguments = group, grid, margins, known
-        units.append(Unit("mosaic", run, name, merge_chunks, arguments, title=f"mosaic of {name}"))
-    return executor.run_units("mosaic", units, per_worker=2)
-
-
-def layers_of_blocks(
-    executor: Executor, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
-) -> list[Receipt]:
-    """Add the layers of a terrain to the chunks of the image that blocks cover; nothing on the plane."""
-    seen_by = {block.index: segment.number or 0 for segment in segments for block in segment.planned.blocks}
-    cells = {
-        cell: {part.block: seen_by[part.block] for part, _ in parts}
-        for cell, parts in _patch_chunks(segments, run, patches).items()
-    }
-    return _add_layers(executor, segments, run, segments[0].planned.grid, cells)
 
 
 def layers_of_parts(
@@ -293,12 +98,12 @@ def layers_of_parts(
     """Add the layers of a terrain to the chunks of the image that `form_parts` wrote; nothing on the plane."""
     every = {segment.number or 0: segment.number or 0 for segment in segments}
     side = image_chunk(grid)
-    regions = [part.region for part in _parts(formed)[run.name_of(run.image)] if part.variable == "block"]
+    regions = [part.region for part in written_parts(formed)[run.name_of(run.image)] if part.variable == "block"]
     cells = {(rows[0] // side[0], columns[0] // side[1]): every for rows, columns in regions}
-    return _add_layers(executor, segments, run, grid, cells)
+    return layers_of_chunks(executor, segments, run, grid, cells)
 
 
-def _add_layers(
+def layers_of_chunks(
     executor: Executor,
     segments: Sequence[Segment],
     run: Run,
@@ -317,46 +122,6 @@ def _add_layers(
         name = "layers-{}-{}".format(*group[0])
         units.append(Unit("layers", run, name, add_layers, (group, grid, owners), title=f"layers of {name}"))
     return executor.run_units("layers", units, per_worker=2)
-
-
-def _patch_chunks(
-    segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
-) -> dict[tuple[int, int], list[tuple[PatchChunk, bool]]]:
-    """Map output chunks, by row and column, to their parts; each with whether it is already written to the image."""
-    side = image_chunk(segments[0].planned.grid)
-    cells: dict[tuple[int, int], list[tuple[PatchChunk, bool]]] = {}
-    blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
-    for (segment, block), receipt in zip(blocks, patches, strict=True):
-        assert receipt.origin is not None
-        first_y, first_x = receipt.origin
-        patch = run.name_of(run.patch(block.name))
-        complete = {part.region for part in receipt.written if part.store != patch and part.variable == "image"}
-        for part in receipt.written:
-            (y, y_end), (x, x_end) = part.region
-            region = ((first_y + y, first_y + y_end), (first_x + x, first_x + x_end))
-            if part.store != patch:
-                continue
-            cell = ((first_y + y) // side[0], (first_x + x) // side[1])
-            chunk = PatchChunk(
-                block.index, block.name, (first_y, first_x), part.checksum, segment.number or 0, segment.collection
-            )
-            cells.setdefault(cell, []).append((chunk, region in complete))
-    return cells
-
-
-def _margins(
-    segments: Sequence[Segment], cell: tuple[int, int], grid: Grid, parts: Sequence[PatchChunk]
-) -> dict[int, FloatArray]:
-    """Margins of the segments that cover parts of an output chunk; empty if there is only one segment."""
-    numbers = sorted({part.segment for part in parts})
-    if len(numbers) == 1:
-        return {}
-    rows, columns = chunk_window(cell, grid)
-    return {
-        segment.number: margins_over(segment.geometry, grid.x[columns], grid.y[rows])
-        for segment in segments
-        if segment.number is not None and segment.number in numbers
-    }
 
 
 def form_parts(
@@ -381,7 +146,7 @@ def form_parts(
         )
         for (segment, _, inspection, noise), form in zip(read, forms, strict=True)
     ]  # fmt: skip
-    reads = all(_reads_input(each.segment, run) for each in read)
+    reads = all(reads_input(each.segment, run) for each in read)
     units = [
         Unit(stage, run, name, form_chunks, (stage, sources, windows, grid), on=on, reads_input=reads)
         for name, windows in parts.items()
@@ -410,49 +175,3 @@ def without_lost(history: stores.PhaseHistory, inspection: Inspection) -> Inspec
         lambda pulse: history.read(slice(pulse, pulse + 1), slice(None))[0],
     )  # fmt: skip
     return inspection.without(lost)
-
-
-def prepare_samples(
-    executor: Executor, segments: Sequence[Segment], run: Run
-) -> tuple[list[Segment], list[list[Receipt]]]:
-    """Range-compress raw echoes and cut interference where needed, once for each collection.
-
-    Returns the segments as they are then read, and receipts of each.
-
-    The receipts are those of the segment's whole collection, with its first segment only.
-    """
-    units: list[Unit] = []
-    for first, *_ in by_collection(segments).values():
-        raw = first.source.raw
-        if raw is None and first.interference is None:
-            continue
-        own, whole = first.of(run), first.source
-        run.establish(own.compressed, partial(_create_compressed, own, whole.collection, raw is not None))
-        compression = None if raw is None else RawCompression.of_echo(raw, whole.collection)
-        step = "interference" if compression is None else "compress"
-        for pulses in chunk_spans(0, whole.collection.n_pulse, TILE[0]):
-            arguments = whole.within(pulses=slice(*pulses)), pulses, compression, first.interference
-            name = own.unit_of_collection(f"pulses-{pulses[0]}")
-            units.append(Unit(step, own, name, prepare_pulses, arguments, reads_input=True))
-    if not units:
-        return list(segments), [[] for _ in segments]
-    stage = "interference" if all(segment.source.raw is None for segment in segments) else "range-compress"
-    receipts: dict[int | None, list[Receipt]] = {unit.run.collection: [] for unit in units}
-    for unit, receipt in zip(units, executor.run_units(stage, units, per_worker=2), strict=True):
-        receipts[unit.run.collection].append(receipt)
-    try:
-        opened = {
-            number: replace(stores.open_phase_history(group[0].of(run).compressed).pinned(), look=group[0].source.look)
-            for number, group in by_collection(segments).items()
-            if number in receipts
-        }
-    except InputError as error:  # about the run's own store, not about the input
-        raise ProcessingError(str(error)) from error
-    ready = [replace(segment, source=opened.get(segment.collection, segment.source)) for segment in segments]
-    return ready, [receipts.pop(segment.collection, []) for segment in segments]
-
-
-def _create_compressed(run: Run, collection: Collection, of_echo: bool) -> None:
-    # The noise of an echo is that of its samples, not of the signal's.
-    stored = Collection(**{**collection.as_dict(), "noise_power": None}) if of_echo else collection
-    stores.create_phase_history(run.compressed, stored, overwrite=True)

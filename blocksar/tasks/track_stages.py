@@ -46,12 +46,12 @@ from blocksar.graph.units import Executor, Unit
 from blocksar.imaging.method import Cutting
 from blocksar.places import place
 from blocksar.places.place import Place
-from blocksar.processors.chain.tasks.spectrum import chunk_spans
+from blocksar.planning.tiling import chunk_spans
 from blocksar.runs.folder import KEPT
 from blocksar.runs.receipts import Run, refuse_replaced
 from blocksar.runs.record import Receipt
+from blocksar.tasks.preparing import prepare_samples
 from blocksar.tasks.segments import Segment
-from blocksar.tasks.stages import prepare_samples
 
 Files = Mapping[str, str]  # checksums by name, as receipts have them
 T = TypeVar("T")

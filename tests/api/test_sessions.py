@@ -20,8 +20,8 @@ import blocksar
 from blocksar.application.reports import html_report, text_table
 from blocksar.application.shown import PlanReport, RunReport
 from blocksar.errors import InputError, in_python
-from blocksar.processors.chain.tables import digits
 from blocksar.progress import Listener, as_listener
+from blocksar.texts import digits
 
 GRID = ((-45.0, 45.0, 0.5), (-25.0, 25.0, 0.5))
 

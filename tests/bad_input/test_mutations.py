@@ -25,7 +25,7 @@ from bad_input import (
 
 import blocksar
 from blocksar.errors import InputError, ProcessingError
-from blocksar.tasks import stages
+from blocksar.processors.chain.tasks import stages
 
 pytestmark = pytest.mark.slow
 

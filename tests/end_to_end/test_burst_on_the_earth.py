@@ -13,8 +13,8 @@ import blocksar
 from blocksar import stores
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import MIB
-from blocksar.imaging.backprojection import form_chips
 from blocksar.measurement.coherence import coherence
+from blocksar.processors.exact.sums import form_chips
 
 pytestmark = pytest.mark.slow
 

@@ -18,11 +18,11 @@ from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
 from blocksar.processors.chain.planning.strip_segments import plan_segments
-from blocksar.tasks import stages
+from blocksar.processors.chain.tasks import stages
+from blocksar.processors.exact.sums import form_image
 
 DX, DY = 3.0, 3.0
 YAWS = CENTRE + STEP * np.array([-1.3, -1.0, -0.7, -0.52, -0.48, -0.1, 0.1, 0.48, 0.52, 1.0, 1.3])

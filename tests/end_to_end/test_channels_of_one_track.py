@@ -19,8 +19,8 @@ from blocksar import stores
 from blocksar.application import tracks
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
+from blocksar.processors.exact.sums import form_image
 
 CHANNELS = 'channels = ["HH", "HV"]\n'
 GRID = ((-45.0, 45.0, 0.75), (-45.0, 45.0, 0.75))

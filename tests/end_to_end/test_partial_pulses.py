@@ -16,10 +16,10 @@ from blocksar.application.pulses import pulse_reader
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
+from blocksar.imaging.compression import RawCompression
 from blocksar.imaging.noise import NoiseMap
 from blocksar.inspection.samples import count_zero_gaps
-from blocksar.processors.chain.steps.range_gate import RawCompression
+from blocksar.processors.exact.sums import form_image
 
 GRID = ((-1760.0, 1800.0, STEP), (-40.0, 40.0, STEP))
 

@@ -17,18 +17,13 @@ from blocksar import stores
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
+from blocksar.processors.base import PlannedSegment
 from blocksar.processors.chain import processor as chain
 from blocksar.processors.chain.planning.planner import plan_collection
-from blocksar.processors.chain.planning.strip_segments import (
-    PlannedSegment,
-    Planner,
-    number_blocks,
-    owned_by,
-    plan_segments,
-)
-from blocksar.tasks import stages
+from blocksar.processors.chain.planning.strip_segments import Planner, number_blocks, owned_by, plan_segments
+from blocksar.processors.chain.tasks import stages
+from blocksar.processors.exact.sums import form_image
 
 SPANS = ((0, 3400), (2600, 6000))
 GRID = Grid(DISTANCE - 30, DISTANCE + 30, 0.8, -45.0, 45.0, 0.45)

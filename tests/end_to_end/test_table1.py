@@ -12,7 +12,7 @@ from repository import ROOT
 
 import blocksar
 from blocksar.errors import InputError
-from blocksar.planning.disk import run_bytes
+from blocksar.processors.chain.planning.written_bytes import run_bytes
 from blocksar.runs import demonstration
 
 EDGES = ("A1", "A3", "B1", "B3", "C1", "C3")

@@ -16,7 +16,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.errors import FolderError
 from blocksar.places import place
-from blocksar.planning.disk import run_bytes
+from blocksar.processors.chain.planning.written_bytes import run_bytes
 from blocksar.simulation.scene import Scene
 
 MIDDLE = np.array([16105.0, 19193.0])  # m: the middle of Table 1's swath

@@ -20,9 +20,9 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence, power_within_reach, referred
 from blocksar.processors.base import ImagePlan
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.scatterers import simulate_pulses
 
 CHIP = 40  # pixels along a side

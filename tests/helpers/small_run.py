@@ -17,10 +17,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.imaging.backprojection import form_image
 from blocksar.imaging.noise import NoiseMap
 from blocksar.imaging.terrain_layers import Sight, Strip, box_of, heights_and_angles, visibility
 from blocksar.measurement.targets import Target
+from blocksar.processors.exact.sums import form_image
 from blocksar.runs import finished
 
 DAYTON = Georeference(latitude=39.78, longitude=-84.09, height=250.0)

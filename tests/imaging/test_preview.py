@@ -18,8 +18,8 @@ from blocksar.cli import commands
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.imaging.backprojection import form_image
 from blocksar.imaging.preview import form_preview, plan_preview
+from blocksar.processors.exact.sums import form_image
 
 POINTS = [(29_800.3, 48.2), (29_951.7, 50.13), (30_102.9, 51.9)]  # range in m, yaw in degrees
 TARGETS = "".join(f'[[targets]]\nname = "P{rng:.0f}"\nrange = {rng}\nyaw_deg = {yaw}\n' for rng, yaw in POINTS)

@@ -15,9 +15,9 @@ from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.imaging.backprojection import form_points
 from blocksar.kernels.decimation import Decimation, padded
 from blocksar.kernels.device import CPU, device, has_gpu
+from blocksar.processors.exact.sums import form_points
 from blocksar.processors.hierarchy.derivation import Levels
 from blocksar.processors.hierarchy.parts import form_windows
 

@@ -22,7 +22,6 @@ from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SINC_ISLR, SINC_PSLR, SINC_WIDTH, SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_points
 from blocksar.measurement.axes import response_axes
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.figures import (
@@ -37,6 +36,7 @@ from blocksar.measurement.figures import (
 )
 from blocksar.measurement.response import ReadChip, carrier_phase, read_response
 from blocksar.measurement.targets import Target
+from blocksar.processors.exact.sums import form_points
 from blocksar.simulation.scatterers import simulate_pulses
 
 PULSE_RATE = 4000.0  # half of Table 1's, for speed: 648 pulses light a target

@@ -11,8 +11,8 @@ from strips import DISTANCE, strip_collection
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.imaging.backprojection import form_image
 from blocksar.planning.ambiguity import azimuth_ambiguities, worst_ambiguity
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses
 

@@ -44,7 +44,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
+from blocksar.processors.exact.sums import form_image
 from blocksar.readers.cphd import channel_parts, echoes, reader
 from blocksar.readers.cphd.files import CphdFile, open_file
 from blocksar.readers.cphd.frequency_grid import ACCURACY

@@ -30,8 +30,8 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
 from blocksar.places.local import LocalPlace
+from blocksar.processors.exact.sums import form_image
 from blocksar.readers.atmosphere import zenith_delay
 from blocksar.readers.cphd import Choices
 from blocksar.readers.cphd.areas import read_area

@@ -26,13 +26,13 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 from blocksar.measurement.targets import Target
 from blocksar.processors.chain.dwells import target_lines
 from blocksar.processors.chain.planning import spectrum_recovery
 from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.processors.chain.steps import recovery
+from blocksar.processors.exact.sums import form_image
 from blocksar.readers import gotcha, gotcha_files
 from blocksar.readers import registry as readers
 from blocksar.readers.gotcha import GOTCHA

@@ -23,7 +23,7 @@ from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.georeference import Georeference
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_chips
+from blocksar.processors.exact.sums import form_chips
 from blocksar.readers import orbit
 from blocksar.readers.sentinel1 import ancillary
 from blocksar.readers.sentinel1.calibration import pulse_delay

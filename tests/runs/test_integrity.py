@@ -22,7 +22,7 @@ import blocksar
 from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.processors.chain import processor as chain
-from blocksar.tasks import stages
+from blocksar.processors.chain.tasks import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 

@@ -12,8 +12,8 @@ from arrays import arrays
 import blocksar
 from blocksar.errors import ProcessingError
 from blocksar.places import place
+from blocksar.processors.chain.tasks import stages
 from blocksar.runs import folder as run_folder
-from blocksar.tasks import stages
 
 
 def test_an_image_outlives_the_spectrum_and_the_patches(tmp_path: Path) -> None:

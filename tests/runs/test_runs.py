@@ -26,14 +26,14 @@ from blocksar.collection.geometry import Geometry
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.graph import units
 from blocksar.places import place
-from blocksar.planning import memory
+from blocksar.planning import stage_memory as memory
 from blocksar.processors.chain.steps import step
+from blocksar.processors.chain.tasks import blocks as tasks
+from blocksar.processors.chain.tasks import stages
 from blocksar.runs import folder
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
 from blocksar.simulation.scene import Scene
-from blocksar.tasks import forming as tasks
-from blocksar.tasks import stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 

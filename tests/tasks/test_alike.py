@@ -13,7 +13,7 @@ import pytest
 
 from blocksar import stores
 from blocksar.places import place
-from blocksar.processors.chain.tasks.spectrum import Window
+from blocksar.planning.tiling import Window
 from blocksar.runs.receipts import Run
 from blocksar.tasks.layers import AlikeChunks
 

@@ -8,8 +8,8 @@ from threading import Event, Timer, get_ident
 
 import pytest
 
-from blocksar.processors.chain.tasks.spectrum import ComputeTurn, WritesBehind, in_threads, turns_at_once
 from blocksar.runs.record import Written
+from blocksar.tasks.writing import ComputeTurn, WritesBehind, in_threads, turns_at_once
 
 
 def part(number: int) -> Written:

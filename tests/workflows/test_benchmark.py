@@ -19,8 +19,8 @@ from scenes import scene
 import blocksar
 from blocksar import stores
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_points
 from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.exact.sums import form_points
 from blocksar.simulation.scene import Scene
 
 SMALL = {"duration": 0.15, "steering": (48.0, 52.0), "swath": [29900.0, 30100.0]}

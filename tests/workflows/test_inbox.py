@@ -33,8 +33,8 @@ from blocksar.application import joint
 from blocksar.errors import InputError
 from blocksar.graph import cluster
 from blocksar.places import place
+from blocksar.processors.chain.tasks import stages
 from blocksar.runs import folder
-from blocksar.tasks import stages
 
 SCRIPT = WORKFLOWS / "process_inbox.py"
 SCENE: dict[str, Any] = {  # 150 pulses of 91 range frequencies

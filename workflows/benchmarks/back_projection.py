@@ -18,12 +18,13 @@ from blocksar import stores
 from blocksar.arrays import ComplexArray, FloatArray
 from blocksar.collection.geometry import Geometry
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import accumulate, form_points, pulse_block_size
+from blocksar.imaging.backprojection import accumulate, pulse_block_size
 from blocksar.imaging.profiles import range_profiles
 from blocksar.kernels.device import TILE
 from blocksar.kernels.projection import LitPixels
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.planning.plan import Plan
+from blocksar.processors.exact.sums import form_points
 
 CHIP = 2 * TILE  # pixels per side, whole tiles: one that lies in two chips would be summed far more slowly
 SAMPLED_PIXELS = 1e6  # at about so many pixels of the image, lit pulses are counted

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.floors import Seconds, Traffic
 from benchmarks.scenes import Case
-from blocksar.planning.disk import run_bytes
+from blocksar.processors.chain.planning.written_bytes import run_bytes
 from blocksar.runs.record import RunRecord
 
 

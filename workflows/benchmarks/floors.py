@@ -17,8 +17,8 @@ from distributed import Client
 
 from blocksar.kernels.groups import row_groups
 from blocksar.places import direct
-from blocksar.planning.disk import run_bytes
 from blocksar.processors.chain.planning.plan import Plan, Transforms
+from blocksar.processors.chain.planning.written_bytes import run_bytes
 
 Seconds = dict[str, float]
 SAMPLE_BYTES = 8  # complex64

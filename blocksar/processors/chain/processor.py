@@ -27,9 +27,9 @@ from blocksar.imaging.method import ChainOptions, Method
 from blocksar.inspection.samples import doubts_of_track
 from blocksar.measurement.axes import MIN_OVERSAMPLING, response_axes
 from blocksar.planning import effort
-from blocksar.planning.disk import run_bytes
-from blocksar.processors.base import Bound, Execution, ImagePlan, Problem, usual_seconds
+from blocksar.processors.base import Bound, Execution, ImagePlan, PlannedSegment, Problem, usual_seconds
 from blocksar.processors.chain.dwells.dwell_ends import reaches_full
+from blocksar.processors.chain.planning import stage_work
 from blocksar.processors.chain.planning.block import BlockPlan
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import (
@@ -40,13 +40,14 @@ from blocksar.processors.chain.planning.planner import (
     prepare_division,
 )
 from blocksar.processors.chain.planning.probes import find_shortfall, plan_coarsest, prepare_segment
-from blocksar.processors.chain.planning.strip_segments import PlannedSegment, plan_segments
-from blocksar.processors.chain.tables import block_table, digits, plan_details
+from blocksar.processors.chain.planning.strip_segments import plan_segments
+from blocksar.processors.chain.planning.written_bytes import run_bytes
+from blocksar.processors.chain.tables import block_table, plan_details
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.runs.record import PredictedBlock, Receipt
 from blocksar.table import Table
-from blocksar.texts import count, size_text, time_text
+from blocksar.texts import count, digits, size_text, time_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -373,7 +374,7 @@ class Chain:
 
 def _least_work(plan: Plan) -> Work:
     """The work of what is planned; nothing is known of that of a plan that is refused."""
-    return effort.of_plan(plan) if plan.refusal is None else {}
+    return stage_work.of_plan(plan) if plan.refusal is None else {}
 
 
 LEAST = 0.7  # of the time of the blocks of the coarsest division, that of finer ones: 0.75 was found, as lengths differ
@@ -437,7 +438,7 @@ class ChainPlan(ImagePlan):
         return max(plan.memory_of(threads) for plan in self.plans)
 
     def work(self) -> Work:
-        return effort.together([effort.of_plan(plan) for plan in self.plans])
+        return effort.together([stage_work.of_plan(plan) for plan in self.plans])
 
     def stored(self) -> dict[str, int]:
         return run_bytes(*self.plans)
@@ -491,7 +492,7 @@ class ChainPlan(ImagePlan):
         InputError, ProcessingError
             As the stages.
         """
-        from blocksar.tasks import stages  # with dask
+        from blocksar.processors.chain.tasks import stages  # with dask
 
         executor, run, segments = execution.executor, execution.run, execution.segments
         recovered = execution.accept_read("recover", stages.recover(executor, segments, run))

@@ -12,6 +12,7 @@ from blocksar.processors.chain.planning.block import BlockPlan
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.prediction import Prediction
 from blocksar.table import Table
+from blocksar.texts import FINE, digits
 
 FEW_BLOCKS, WORST = 12, 10  # most blocks that are all shown, and how many are of more
 RANGE = "range"  # whose unit the ranges decide
@@ -19,7 +20,6 @@ BLOCK_HEADER = (
     "block", "yaw (deg)", RANGE, "Doppler bins", "padded", "bias (m/s2)", "residual phase (rad)",
     "quadratic (rad)", "PSLR (dB)", "width / limit", "azimuth width (m)", "migration (cells)", "memory (MiB)",
 )  # fmt: skip
-FINE = 0.9999  # coherence from which on it is shown with six decimals
 
 
 def block_table(plans: Sequence[Plan]) -> Table:
@@ -102,8 +102,3 @@ def _block_row(block: BlockPlan, metres: float) -> list[str]:
         f"{p.migration:.3f}",
         f"{block.memory / MIB:.0f}",
     ]
-
-
-def digits(coherence: float) -> str:
-    """Format a coherence with four decimals, or with six if four would round its loss to 0."""
-    return f"{coherence:.{4 if coherence < FINE else 6}f}"

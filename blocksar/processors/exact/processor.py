@@ -17,14 +17,15 @@ from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import InputError
 from blocksar.graph import compiling
-from blocksar.imaging.backprojection import ReadPulses, form_image
+from blocksar.imaging.backprojection import ReadPulses
 from blocksar.imaging.method import ChainOptions, Method
 from blocksar.inspection.samples import doubts_of_track
 from blocksar.kernels.device import on_device
 from blocksar.planning import effort
-from blocksar.planning.memory import checked_back_projection_memory, gpu_back_projection_memory
 from blocksar.planning.tiling import chunks_of, window_around
 from blocksar.processors.base import ChunkPlan, ImagePlan, Problem, Window
+from blocksar.processors.exact.memory import checked_back_projection_memory, gpu_back_projection_memory
+from blocksar.processors.exact.sums import form_image
 from blocksar.processors.sentences import lit_pulses
 from blocksar.progress import Work
 from blocksar.texts import count, size_text

@@ -30,9 +30,9 @@ from blocksar.collection.weighting import Weighting
 from blocksar.imaging.profiles import spline_error
 from blocksar.kernels.groups import GPU_PART_BYTES, PART_BYTES
 from blocksar.planning import effort
-from blocksar.planning.memory import hierarchical_gpu_memory, hierarchical_memory
 from blocksar.planning.tiling import image_chunk, units_of
 from blocksar.processors.hierarchy.derivation import Filters, Frames, Hierarchy, Levels, Part, Path
+from blocksar.processors.hierarchy.memory import hierarchical_gpu_memory, hierarchical_memory
 from blocksar.processors.hierarchy.parts import MOST_WINDOWS, dwell_waves, leave_outside
 
 ERROR = 1e-5  # error power that no image exceeds: less costs hardly any time, and dark places show it

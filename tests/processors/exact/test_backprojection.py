@@ -20,10 +20,11 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.imaging import profiles
-from blocksar.imaging.backprojection import accumulate, form_image, form_points, image_memory, pulse_block_size
+from blocksar.imaging.backprojection import accumulate, pulse_block_size
 from blocksar.imaging.profiles import UPSAMPLING, range_profiles, spline_error
 from blocksar.kernels import projection
 from blocksar.kernels.projection import LitPixels
+from blocksar.processors.exact.sums import form_image, form_points, image_memory
 from blocksar.simulation.scatterers import simulate_pulses
 
 TURN = 2 * np.pi

@@ -13,7 +13,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.imaging.backprojection import form_image, form_points
+from blocksar.processors.exact.sums import form_image, form_points
 from blocksar.simulation.scatterers import field, phase_history, raw_echo, simulate_pulses
 
 

@@ -23,7 +23,6 @@ from blocksar.errors import OutsideSwath
 from blocksar.imaging.method import Method
 from blocksar.kernels.fourier import Axis
 from blocksar.kernels.interpolation import taps_needed
-from blocksar.planning.memory import RELIEF_MEMORY, block_memory
 from blocksar.processors.chain.dwells.target_lines import Sector, tail_margin
 from blocksar.processors.chain.ground.ground_map import (
     QUANTITIES,
@@ -52,6 +51,7 @@ from blocksar.processors.chain.planning.coefficients import Choice, choose
 from blocksar.processors.chain.planning.fitting import ORDERS
 from blocksar.processors.chain.planning.gating import plan_dwell_gate, plan_range_gate
 from blocksar.processors.chain.planning.prediction import ImageEdges, JudgedTargets, Prediction, predict, worst_lobes
+from blocksar.processors.chain.planning.worker_memory import RELIEF_MEMORY, block_memory
 from blocksar.processors.chain.steps.chains import steps_of
 from blocksar.processors.chain.steps.lines import LEAST_STRETCH, Focus, Line
 from blocksar.processors.chain.steps.range_gate import RangeGate

@@ -29,8 +29,9 @@ from blocksar.collection.region import Region
 from blocksar.collection.weighting import Weighting
 from blocksar.imaging.method import Method
 from blocksar.kernels.operations import Blend, Resample, Stretch, Transform
-from blocksar.planning.memory import PROCESS_MEMORY, gating_memory, thread_memory
+from blocksar.planning.memory import PROCESS_MEMORY
 from blocksar.processors.chain.planning.block import BlockPlan
+from blocksar.processors.chain.planning.worker_memory import gating_memory, thread_memory
 from blocksar.processors.chain.steps.range_gate import RangeGate
 from blocksar.processors.chain.steps.recovery import Recovery
 from blocksar.texts import size_text

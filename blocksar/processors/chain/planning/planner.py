@@ -28,15 +28,8 @@ from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import (
-    Extent,
-    Owned,
-    Region,
-    block_seams,
-    default_grid,
-    grid_extent,
-    plan_region,
-)
+from blocksar.collection.region import Extent, Owned, Region, block_seams, default_grid, grid_extent, plan_region
+from blocksar.collection.staying import MOST_DWELL, beam_stays, longest_stay
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.track_shape import find_flaw
 from blocksar.collection.weighting import UNIFORM, Weighting
@@ -44,7 +37,7 @@ from blocksar.constants import MIB, SPEED_OF_LIGHT
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
 from blocksar.imaging.method import DEFAULT, Method
 from blocksar.planning.memory import MEMORY_SHARE, PROCESS_MEMORY
-from blocksar.processors.chain.dwells.steadiness import MOST_DWELL, Smoothed, beam_stays, longest_stay, smoothed_beam
+from blocksar.processors.chain.dwells.steadiness import Smoothed, smoothed_beam
 from blocksar.processors.chain.dwells.target_lines import Sector, ground_range
 from blocksar.processors.chain.ground.relief import Relief, ReliefPoints, find_relief, sample_terrain
 from blocksar.processors.chain.planning.block import BlockPlan, plan_block

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from blocksar.collection.beam import aperture
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import Owned, default_grid, plan_region
+from blocksar.collection.region import Owned, joint_grid
 from blocksar.errors import InputError, OutsideSwath, Unfocusable
+from blocksar.processors.base import PlannedSegment
 from blocksar.processors.chain.dwells.dwell_ends import GUARD
 from blocksar.processors.chain.dwells.steadiness import PLACES
 from blocksar.processors.chain.planning.plan import Plan
@@ -88,49 +89,6 @@ MOST_NUMBERS = int(np.iinfo(np.int16).max) + 1  # of blocks, as the image holds 
 
 
 Planner = Callable[..., Plan]  # of one collection: `plan_collection` with the settings of a run
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlannedSegment:
-    """A collection, or some pulses of one, that an image is formed from.
-
-    Attributes
-    ----------
-    collection : int
-        Number of the collection.
-    pulses : (first, last) or None
-        Its pulses first <= p < last; None for all of them.
-    geometry : Geometry
-        Over the ground of the image.
-    plan : Plan or None
-        Of a chain. Its blocks are numbered after those of the segments before it: from `first_block` on.
-    """
-
-    collection: int
-    pulses: tuple[int, int] | None = None
-    geometry: Geometry
-    plan: Plan | None = None
-    first_block: int = 0
-
-
-def joint_grid(geometries: Sequence[Geometry]) -> Grid:
-    """The bounding box of the default grids of collections, at the finest of their spacings.
-
-    Raises
-    ------
-    InputError
-        If one of them has no default grid.
-    """
-    grids = [default_grid(geometry, plan_region(geometry, None)) for geometry in geometries]
-    if len(grids) == 1:
-        return grids[0]
-
-    def box(sides: list[tuple[float, float, float]]) -> tuple[float, float, float]:
-        low, high, step = min(side[0] for side in sides), max(side[1] for side in sides), min(side[2] for side in sides)
-        return float(step * round(low / step)), float(step * round(high / step)), step
-
-    x, y = box([(grid.x0, grid.x1, grid.dx) for grid in grids]), box([(grid.y0, grid.y1, grid.dy) for grid in grids])
-    return Grid(*x, *y)
 
 
 def plan_segments(

@@ -22,17 +22,19 @@ from blocksar.collection.weighting import Weighting
 from blocksar.errors import ProcessingError
 from blocksar.imaging.noise import NoiseMap
 from blocksar.imaging.recorded_pulses import divide_by_recorded
-from blocksar.planning.tiling import chunk_window, image_chunk, patch_window, touched_chunks
+from blocksar.planning.tiling import Window, chunk_window, image_chunk
 from blocksar.processors.chain.ground.correction import correct, tiles_of
 from blocksar.processors.chain.ground.ground_map import GroundMap
+from blocksar.processors.chain.ground.patches import patch_window, touched_chunks
 from blocksar.processors.chain.ground.pixel_rows import Tiles
 from blocksar.processors.chain.planning.block import BlockPlan
-from blocksar.processors.chain.tasks.spectrum import ComputeTurn, Window, WritesBehind, ahead, in_threads
+from blocksar.processors.chain.tasks.blocks import BlockSamples
 from blocksar.runs.receipts import Run, write
 from blocksar.runs.record import Receipt, Written
-from blocksar.tasks.forming import BlockSamples, shifted, write_image
+from blocksar.tasks.forming import shifted, write_image
 from blocksar.tasks.layers import AlikeChunks, GroundHeights, strips_of, write_noise
 from blocksar.tasks.segments import Margins, Merged
+from blocksar.tasks.writing import ComputeTurn, WritesBehind, ahead, in_threads
 
 
 class PatchChunk(NamedTuple):

@@ -11,10 +11,10 @@ from axis_beams import axis_collection
 from blocksar.arrays import ComplexArray
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.imaging.backprojection import form_image
 from blocksar.processors.chain.ground.correction import correct
 from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.processors.chain.steps.recovery import recover_columns
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.scatterers import simulate_pulses
 
 pytestmark = pytest.mark.slow

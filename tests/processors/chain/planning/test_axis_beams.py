@@ -17,12 +17,12 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import PrfTooLow, Unfocusable
-from blocksar.imaging.backprojection import form_image, form_points
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.processors.chain.planning.spectrum_recovery import plan_recovery
 from blocksar.processors.chain.processor import jittering_beam, short_dwells
+from blocksar.processors.exact.sums import form_image, form_points
 from blocksar.simulation.antenna import named_pattern
 from blocksar.simulation.scatterers import simulate_pulses
 

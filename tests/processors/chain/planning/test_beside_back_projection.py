@@ -12,11 +12,11 @@ from scenes import UNSTEERED_SCENE
 from blocksar.arrays import ComplexArray
 from blocksar.collection.grid import Grid
 from blocksar.collection.weighting import Weighting
-from blocksar.imaging.backprojection import form_image
 from blocksar.imaging.method import Method
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import plan_collection
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.scene import Scene
 from blocksar.simulation.simulate import sampler
 

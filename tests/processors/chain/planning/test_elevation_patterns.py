@@ -15,10 +15,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
 from blocksar.errors import Unfocusable
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import plan_collection
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.scatterers import field, phase_history
 
 GRID = Grid(8910.0, 9090.0, 1.5, -50.0, 50.0, 0.9)

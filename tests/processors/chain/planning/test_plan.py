@@ -19,12 +19,13 @@ from blocksar.collection.region import plan_region
 from blocksar.graph.machine import Resources, pace
 from blocksar.imaging.method import Method
 from blocksar.planning import effort
-from blocksar.planning.disk import run_bytes
 from blocksar.processors import sentences
 from blocksar.processors.chain.dwells.target_lines import Sector
+from blocksar.processors.chain.planning import stage_work
 from blocksar.processors.chain.planning.block import plan_block
 from blocksar.processors.chain.planning.planner import plan_collection
 from blocksar.processors.chain.planning.spectrum_recovery import plan_recovery
+from blocksar.processors.chain.planning.written_bytes import run_bytes
 from blocksar.simulation.scene import Scene
 
 
@@ -65,7 +66,7 @@ def test_a_plan_says_how_long_a_run_takes_and_all_else_repeats(monkeypatch: pyte
     first, second = summary(1.0), summary(100.0)
     (changed,) = [line for line, other in zip(first, second, strict=True) if line != other]
     assert "on this machine with 1 worker (start 2 s, recover " in changed and "focus " in changed
-    work = effort.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
+    work = stage_work.of_plan(planned("table1", blocks=3))  # type: ignore[arg-type]
     monkeypatch.setattr(sentences, "PLANNING_TOLD", 3.0)
     monkeypatch.setattr(sentences, "pace", lambda: 1.0)
     for planning, begin in ((3.0, "(plan 3 s, start "), (2.9, "(start ")):

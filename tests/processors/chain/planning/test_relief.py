@@ -16,7 +16,6 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.sublooks import look_of
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
-from blocksar.imaging.backprojection import form_points
 from blocksar.imaging.method import Method
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.dwells.target_lines import ground_range
@@ -24,6 +23,7 @@ from blocksar.processors.chain.ground.ground_map import Depth
 from blocksar.processors.chain.ground.relief import find_relief, sample_terrain
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import plan_collection
+from blocksar.processors.exact.sums import form_points
 from blocksar.simulation.scatterers import field, phase_history
 from blocksar.simulation.scene import Scene
 

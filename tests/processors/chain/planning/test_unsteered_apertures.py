@@ -12,10 +12,10 @@ from plan_images import focus
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.grid import Grid
-from blocksar.imaging.backprojection import form_image
 from blocksar.measurement.coherence import coherence
 from blocksar.processors.chain.planning.plan import Plan
 from blocksar.processors.chain.planning.planner import plan_collection
+from blocksar.processors.exact.sums import form_image
 from blocksar.simulation.scatterers import simulate_pulses
 
 pytestmark = pytest.mark.slow

@@ -19,10 +19,10 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import plan_region
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
+from blocksar.imaging.compression import COMPRESSED_ROWS, RawCompression
 from blocksar.kernels import fourier, rows
 from blocksar.kernels.fourier import Axis
 from blocksar.processors.chain.planning.spectrum_recovery import plan_recovery
-from blocksar.processors.chain.steps.range_gate import COMPRESSED_ROWS, RawCompression
 from blocksar.processors.chain.steps.recovery import Recovery, recover_columns
 from blocksar.simulation.scatterers import simulate_pulses
 

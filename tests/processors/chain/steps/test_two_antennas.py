@@ -14,10 +14,10 @@ from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.backprojection import form_points
 from blocksar.imaging.recorded_pulses import _distances
 from blocksar.measurement.figures import ideal_response
 from blocksar.planning.ambiguity import worst_ambiguity
+from blocksar.processors.exact.sums import form_points
 
 N, CARRIER = 160, 10e9
 TIME: FloatArray = (np.arange(N) - N / 2) / 400.0

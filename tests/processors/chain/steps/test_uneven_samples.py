@@ -13,9 +13,9 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.imaging.backprojection import form_points
 from blocksar.imaging.noise import NoiseMap
 from blocksar.measurement.figures import ideal_response
+from blocksar.processors.exact.sums import form_points
 
 N, STEP, CARRIER = 240, 1 / 750.0, 10e9
 EVEN: FloatArray = (np.arange(N) - N / 2) * STEP
