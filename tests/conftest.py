@@ -46,7 +46,7 @@ FIRST = (
     "stores",
     "products",
     "deploy",
-    "ingestion",
+    "readers",
     "planning",
 )
 

@@ -12,7 +12,13 @@ import blocksar
 from blocksar import solvers
 
 PACKAGE = Path(blocksar.__file__).parent
-TO_IMAGES = ("collection", "kernels", "focusing", "planning")  # what leads from axes and samples to plans and images
+TO_IMAGES = (
+    "collection",
+    "imaging",
+    "kernels",
+    "planning",
+    "processors",
+)  # what leads from axes and samples to plans and images
 # Not reproducible to the bit: they call BLAS or LAPACK. A norm along an axis is a plain sum.
 LIBRARY = {
     "chebfit",

@@ -37,7 +37,7 @@ from blocksar.runs import folder as run_folder
 from blocksar.runs import stored_plan
 from blocksar.runs.receipts import Run
 from blocksar.runs.record import FINISHED, CentroidError, Receipt, RunRecord, SampleCounts
-from blocksar.tasks import preparing as stages
+from blocksar.tasks import preparing
 from blocksar.tasks.preparing import CUT, ZERO_GAPS
 from blocksar.tasks.pyramid_levels import build_pyramid
 from blocksar.tasks.segments import Segment, by_collection
@@ -337,7 +337,7 @@ def _form(
         begun.append(time.perf_counter())
         timings[stage] = begun[-1] - begun[-2]
 
-    segments, compressed = stages.prepare_samples(executor, job.segments, run)
+    segments, compressed = preparing.prepare_samples(executor, job.segments, run)
     if job.request.asked.interference is not None:  # check the samples that are imaged
         checked = check_later(replace(job, segments=tuple(segments)))
 

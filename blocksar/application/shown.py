@@ -102,9 +102,9 @@ class RunReport(Report):
         InputError
             If the run is gone, or nothing was focused.
         """
-        from blocksar.api.exporting import open as open_image  # with all products
+        from blocksar.products import dataset  # registers the accessor, and loads xarray
 
-        return open_image(self._focused())
+        return dataset.open(self._focused())
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the image in decibels, as `open().sar.plot` does.

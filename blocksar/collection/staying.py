@@ -1,4 +1,9 @@
-"""Beams that stay on their ground, as of a staring or sliding spotlight."""
+"""Beams that stay on their ground, as of a staring or sliding spotlight.
+
+Gates of chains follow the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam
+turns that stays on its ground, ground passes it ever more slowly, and on the far side the other way: no such function
+exists.
+"""
 
 from __future__ import annotations
 

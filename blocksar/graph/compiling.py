@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -80,14 +81,21 @@ def _indices(names: Iterable[str]) -> Iterator[tuple[str, float, list[Path]]]:
     found: dict[Path, list[Path]] = {}
     for name in names:
         module, _, loop = name.partition(":")
-        spec = find_spec(f"blocksar.{module}")  # does not load it
-        assert spec is not None and spec.origin is not None
+        if (spec := _found(module)) is None or spec.origin is None:
+            continue
         source = Path(spec.origin)
         folder = Path(chosen) if chosen else source.parent / "__pycache__"
         if folder not in found:
             found[folder] = list(folder.rglob("*.nbi"))
         begin = f"{source.stem}.{loop}"
         yield name, source.stat().st_mtime, [file for file in found[folder] if file.name.startswith(begin)]
+
+
+def _found(module: str) -> ModuleSpec | None:
+    """Find a module without loading it; there is none of a processor whose folder is taken away."""
+    with suppress(ModuleNotFoundError):
+        return find_spec(f"blocksar.{module}")
+    return None
 
 
 def _keep_young(names: Iterable[str]) -> None:
@@ -181,6 +189,8 @@ def loops_named(name: str) -> list[Loop]:
     from blocksar.kernels.loops import loops_of
 
     module, _, only = name.partition(":")
+    if _found(module) is None:
+        return []
     return [loop for loop in loops_of(import_module(f"blocksar.{module}")) if only in ("", loop.__name__)]
 
 

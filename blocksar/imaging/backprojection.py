@@ -1,4 +1,4 @@
-"""Exact back-projection: the fourth processor, and the reference for the other three.
+"""Back-projection: sums over lit pulses at pixels, and what they are divided by.
 
     image(x, y) = mean over lit pulses p and frequencies f of
                   signal[p, f] exp(+4j pi (fc + f) / c (R_xy(p) - reference_range[p]))

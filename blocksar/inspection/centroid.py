@@ -11,8 +11,7 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.beam import aperture
 from blocksar.collection.geometry import Geometry
 from blocksar.constants import TURN
-from blocksar.inspection.samples import SEGMENTS, Inspection
-from blocksar.processors.chain.steps.recovery import Recovery
+from blocksar.inspection.samples import SEGMENTS, Inspection, Motion
 
 MAX_OFFSET = 0.08  # of the PRF, and at most a quarter of a target's sweep: tolerance about the expected angles
 TURNING = 0.9  # of the least real part: below it the sum of the segments is too small for a steady centroid
@@ -100,14 +99,14 @@ class Expectation:
 
 
 def expect(
-    geometry: Geometry, recovery: Recovery, *, yaw: FloatArray, near: FloatArray, far: FloatArray
+    geometry: Geometry, recovery: Motion, *, yaw: FloatArray, near: FloatArray, far: FloatArray
 ) -> Expectation | None:
     """Expected sums over pulse pairs of a steered collection, from its metadata alone.
 
     Parameters
     ----------
     geometry : Geometry
-    recovery : Recovery
+    recovery : Motion
     yaw : (n,) float
         Yaw of lit points, rad.
     near, far : (n,) float

@@ -19,7 +19,7 @@ those all of whose neighbours are missing.
 Pulse pairs
 -----------
 The angle of the mean of conj(s[p]) s[p + 1] exp(-2j pi expected advance) is the power-weighted Doppler centroid minus
-the expected one; the expected advance is that of the middle of the lit area (`Recovery.bulk` and its derotation). A
+the expected one; the expected advance is that of the middle of the lit area (`Motion.bulk` and its derotation). A
 target over which the beam sweeps from edge to edge runs through the lit band from end to end, at about the same rate
 for all targets: its pairs add up to sinc(band / PRF) of its energy, at angle zero, wherever it lies and whatever else
 is in the scene. So the sum over an aperture of many dwells is real and positive if track and beam match the data.
@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,14 +39,51 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.track_shape import find_flaw
 from blocksar.imaging.recorded_pulses import LEAST_SHARE
 from blocksar.inspection.scan import BEYOND_ALL, STANDS_OUT, scan_pulses, sum_pairs
+from blocksar.kernels.fourier import Axis
 from blocksar.kernels.groups import run_groups
 from blocksar.kernels.phase import Float32Array
-from blocksar.processors.chain.steps.recovery import Recovery
 
 SEGMENTS = 32  # of slow time, in which pulse pairs are summed: several per dwell
 SQUARED = (1e-12, 1e15)  # extreme levels between which samples are squared in float32 without scaling
 
 Counts = dict[int, int]
+
+
+class Motion(Protocol):
+    """Motion that all echoes share, which tells the Doppler to expect: a chain's `Recovery` is one.
+
+    Attributes
+    ----------
+    carrier : float
+        Hz.
+    pulses : Axis
+        Slow time of the pulses from the epoch, s.
+    walk : float
+        Unified range walk, m/s.
+    common : object
+        Range besides that all targets share: `at(time, derivative)`, m.
+    bulk : (n_pulse,) float
+        Cycles on the carrier, per pulse, that turn the stored reference range into the shared one.
+    """
+
+    @property
+    def carrier(self) -> float: ...
+
+    @property
+    def pulses(self) -> Axis: ...
+
+    @property
+    def walk(self) -> float: ...
+
+    @property
+    def common(self) -> Any: ...
+
+    @property
+    def bulk(self) -> FloatArray: ...
+
+    def derotation_cycles(self, time: FloatArray) -> FloatArray:
+        """Phase of the derotation at slow times from the epoch, cycles on the carrier."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +241,7 @@ def zero_impossible(
     signal: ComplexArray,
     *,
     range_frequency: FloatArray,
-    recovery: Recovery | None,
+    recovery: Motion | None,
     first_column: int = 0,
     threads: int = 1,
 ) -> Inspection:
@@ -225,7 +262,7 @@ def zero_impossible(
         All pulses. Changed.
     range_frequency : (n_column,) float
         Hz, from `recovery.carrier`; uniform.
-    recovery : Recovery or None
+    recovery : Motion or None
         Gives the expected Doppler. None where no Doppler can be expected (see `centroid.expect`): no pairs are summed.
     first_column : int
         Number of the first column in the phase history, for the columns of outliers.
@@ -289,7 +326,7 @@ class _Scan:
 def _scan(
     signal: ComplexArray,
     range_frequency: FloatArray,
-    recovery: Recovery | None,
+    recovery: Motion | None,
     threads: int,
     *,
     scale: float = 1.0,

@@ -1,1 +1,1 @@
-"""Plans of how to focus a collection, from its metadata alone, with the predicted quality of the image."""
+"""Needs of an image by any processor: division of the work, seconds, memory, disk; and ambiguities."""

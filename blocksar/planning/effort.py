@@ -2,10 +2,9 @@
 
 While a command runs only ratios between stages matter, since the pace is measured; `plan` multiplies by
 `graph.machine.pace`. The constants below are CPU seconds of one thread where that pace is 1, on a virtual machine of 2
-cores (EPYC with AVX-512) that are both busy. Those of recovery, steps, correction, layers and mosaic are from the
-receipts of `table1`, also over hills; that of back-projection from a TOPS scene of 3000
-pulses besides. Those of compression and inspection are estimates; each matters only relative to the others of its
-own command.
+cores (EPYC with AVX-512) that are both busy. Those of layers are from the receipts of `table1` over hills; that of
+back-projection from a TOPS scene of 3000 pulses besides. Those of compression and inspection are estimates; each
+matters only relative to the others of its own command.
 """
 
 from __future__ import annotations

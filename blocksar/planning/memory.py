@@ -1,4 +1,4 @@
-"""Predicted peak memory of a worker by stage."""
+"""Memory of a worker: what its process takes, and whether its limit holds a plan."""
 
 from __future__ import annotations
 

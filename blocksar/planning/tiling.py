@@ -1,4 +1,4 @@
-"""Division of the work: an image into chunks and patches, samples into groups of columns."""
+"""Division of the work: an image into chunks and windows of them, samples into groups of columns."""
 
 from __future__ import annotations
 

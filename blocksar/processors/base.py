@@ -20,7 +20,6 @@ from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
 from blocksar.planning.tiling import units_of
-from blocksar.processors.chain.planning.plan import Plan
 from blocksar.progress import Work
 from blocksar.table import Table
 from blocksar.texts import size_text
@@ -51,14 +50,15 @@ class PlannedSegment:
         Its pulses first <= p < last; None for all of them.
     geometry : Geometry
         Over the ground of the image.
-    plan : Plan or None
-        Of a chain. Its blocks are numbered after those of the segments before it: from `first_block` on.
+    plan : object or None
+        Of a processor that plans each by itself, as chains do. Its blocks are numbered after those of the segments
+        before it: from `first_block` on.
     """
 
     collection: int
     pulses: tuple[int, int] | None = None
     geometry: Geometry
-    plan: Plan | None = None
+    plan: Any = None
     first_block: int = 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from contextlib import suppress
 
 gc.disable()  # imports create many objects and no garbage
 
@@ -12,9 +13,11 @@ import numpy as np  # noqa: E402
 from blocksar.graph.compiling import TASKS, load_cached  # noqa: E402
 from blocksar.kernels.fourier import fft_rows  # noqa: E402
 from blocksar.kernels.fresnel import fresnel_integral  # noqa: E402
-from blocksar.processors.chain.tasks import patching  # noqa: E402, F401
 from blocksar.stores.chunk_files import zstd  # noqa: E402
-from blocksar.tasks import preparing as sample_tasks  # noqa: E402, F401
+from blocksar.tasks import forming, inspecting, preparing  # noqa: E402, F401
+
+with suppress(ModuleNotFoundError):  # a processor's folder may be taken away
+    from blocksar.processors.chain.tasks import patching, recovering  # noqa: F401
 
 load_cached(TASKS)
 fft_rows(np.zeros((1, 2), np.complex64), inverse=False)  # imports, on the first call

@@ -1,4 +1,4 @@
-"""Tasks that run on workers: each reads stores, writes whole chunks, and returns a receipt or samples."""
+"""The tasks that form chunks of an image straight from samples, and what every task writes of a chunk."""
 
 from __future__ import annotations
 

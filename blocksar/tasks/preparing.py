@@ -1,4 +1,4 @@
-"""Tasks that read samples of a phase history: compression, interference, recovery, inspection."""
+"""Preparation of samples, before any processor's stages: range compression of raw echoes, interference."""
 
 from __future__ import annotations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,9 +13,10 @@ from blocksar import stores
 from blocksar.arrays import BoolArray, FloatArray
 from blocksar.collection.beam import expand
 from blocksar.collection.geometry import Geometry
-from blocksar.imaging.method import Cutting
-from blocksar.processors.chain.planning.plan import Plan
 from blocksar.runs.receipts import Run
+
+if TYPE_CHECKING:
+    from blocksar.imaging.method import Cutting
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,8 +35,8 @@ class Segment:
         Its pulses among those of the collection; None for all.
     geometry : Geometry
         That of the plan.
-    plan : Plan or None
-        Of a chain.
+    plan : object or None
+        What its processor has planned of it, if it plans each by itself, as chains do.
     interference : str or None
         How it is cut from the samples.
     """
@@ -44,14 +46,8 @@ class Segment:
     source: stores.PhaseHistory
     pulses: tuple[int, int] | None = None
     geometry: Geometry
-    plan: Plan | None = None
+    plan: Any = None
     interference: Cutting | None = None
-
-    @property
-    def planned(self) -> Plan:
-        """Plan of the segment; only for processors that plan segments."""
-        assert self.plan is not None
-        return self.plan
 
     def of(self, run: Run) -> Run:
         """The run as seen by the tasks of this segment."""

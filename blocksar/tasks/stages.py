@@ -1,4 +1,4 @@
-"""Stages of a run as lists of units: recovery by column group, focusing by block, mosaic by output chunk.
+"""Stages that runs of any processor have, as lists of units: inspection, parts of an image, layers.
 
 Keys have the form `step-run-block`: the dashboard is readable, and no result of another run is reused. A unit of work
 writes whole chunks that no other unit writes, then its receipt. A lost worker therefore costs time only, and an

@@ -23,6 +23,7 @@ from blocksar import stores
 from blocksar.errors import FolderError, InputError, ProcessingError
 from blocksar.processors.chain import processor as chain
 from blocksar.processors.chain.tasks import stages
+from blocksar.tasks import stages as shared_stages
 
 GRID = ((15900.0, 16300.0, 4.0), (19000.0, 19400.0, 4.0))
 
@@ -63,7 +64,8 @@ def overwrite(file: Path) -> None:
 
 def before(monkeypatch: pytest.MonkeyPatch, stage: str, act: Callable[[], None], after: Callable[[], None]) -> None:
     """Act before a stage, and after it."""
-    real = getattr(stages, stage)
+    home = stages if hasattr(stages, stage) else shared_stages
+    real = getattr(home, stage)
 
     def sabotaged(*args: Any, **keywords: Any) -> Any:
         act()
@@ -72,7 +74,7 @@ def before(monkeypatch: pytest.MonkeyPatch, stage: str, act: Callable[[], None],
         finally:
             after()
 
-    monkeypatch.setattr(stages, stage, sabotaged)
+    monkeypatch.setattr(home, stage, sabotaged)
 
 
 # ---------------------------------------------------------------- the input

@@ -1,4 +1,4 @@
-"""Images and chips of them by exact back-projection."""
+"""Images, points and chips by exact back-projection, as `imaging.backprojection` defines it."""
 
 from __future__ import annotations
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from matplotlib import patheffects
@@ -19,7 +20,6 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.region import Region
 from blocksar.constants import unit_of_lengths
 from blocksar.measurement.targets import Target
-from blocksar.processors.chain.planning.block import BlockPlan
 from blocksar.products.pictures.overview import NOT_COVERED, ReadBlock, ReadImage, overview, stretch
 from blocksar.products.pictures.panels import MARK, minus, new_figure, save
 
@@ -33,11 +33,36 @@ OUTLINE_POINTS = 33  # points along a side of an outline
 SIZE = (11.0, 5.2)  # inches
 
 
+class Block(Protocol):
+    """Block of a plan, as it is drawn: its name and number, its yaws, rad, its ground, and its prediction."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def index(self) -> int: ...
+
+    @property
+    def part(self) -> int | None: ...
+
+    @property
+    def low(self) -> float: ...
+
+    @property
+    def high(self) -> float: ...
+
+    @property
+    def ground(self) -> Any: ...
+
+    @property
+    def prediction(self) -> Any: ...
+
+
 def draw_plan(
     geometry: Geometry,
     grid: Grid,
     *,
-    blocks: Sequence[BlockPlan] = (),
+    blocks: Sequence[Block] = (),
     region: Region | None = None,
     axes: Axes | None = None,
     title: str = "",
@@ -49,7 +74,7 @@ def draw_plan(
     geometry : Geometry
     grid : Grid
         The image.
-    blocks : sequence of BlockPlan
+    blocks : sequence of Block
         Empty for back-projection.
     region : Region, optional
         What a steered beam lights.
@@ -84,7 +109,7 @@ def draw_plan(
     return axes
 
 
-def _block_outline(geometry: Geometry, block: BlockPlan) -> FloatArray:
+def _block_outline(geometry: Geometry, block: Block) -> FloatArray:
     """Outline of a block (n, 2), m: its yaws, and its ranges inside the range window."""
     ground = block.ground
     yaw = np.linspace(block.low, block.high, OUTLINE_POINTS)
@@ -111,7 +136,7 @@ def _box(grid: Grid, label: str = "") -> Rectangle:
     )  # fmt: skip
 
 
-def _name_block(axes: Axes, block: BlockPlan, outline: FloatArray, count: int) -> None:
+def _name_block(axes: Axes, block: Block, outline: FloatArray, count: int) -> None:
     coherence = f"\n{block.prediction.coherence:.4f}" if count <= MOST_NAMED_BLOCKS // 4 else ""
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     axes.annotate(

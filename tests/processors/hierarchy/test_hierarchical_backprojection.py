@@ -19,11 +19,12 @@ from blocksar.collection.grid import Grid
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import UNIFORM, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.planning import memory, tiling
+from blocksar.planning import tiling
 from blocksar.planning.memory import PROCESS_MEMORY
 from blocksar.planning.tiling import units_of
 from blocksar.processors.exact.sums import form_image
 from blocksar.processors.hierarchy import division as hierarchical_division
+from blocksar.processors.hierarchy import memory
 from blocksar.processors.hierarchy import parts as hierarchical_backprojection
 from blocksar.processors.hierarchy.derivation import Levels
 from blocksar.processors.hierarchy.division import divide, planned_error

@@ -1,7 +1,4 @@
-"""Beams that dwell gates can follow: smooth enough, and passing over their ground.
-
-A gate follows the ends of dwells as smooth functions of range and Doppler. Near the point on which a beam turns that
-stays on its ground, ground passes it ever more slowly, and on the far side the other way: no such function exists.
+"""Beams that dwell gates can follow, smoothed where their pointing jitters.
 
 Measured attitude and steering have waves and noise. The ends of dwells are then no smooth functions of range and
 Doppler, which a gate could follow. Chains gate the dwells of a smoothed beam instead, a spline of one

@@ -1,4 +1,7 @@
-"""Predicted effort of a chain: seconds for every unit of its stages, see `planning.effort`."""
+"""Predicted effort of a chain: seconds for every unit of its stages, see `planning.effort`.
+
+The constants are from the receipts of `table1`, also over hills, on the machine of those there.
+"""
 
 from __future__ import annotations
 

@@ -30,6 +30,12 @@ from blocksar.tasks.segments import Segment
 from blocksar.tasks.stages import Parts, ReadSegment, column_groups, layers_of_chunks, read_samples, written_parts
 
 
+def planned(segment: Segment) -> Plan:
+    """The chain's plan of a segment."""
+    assert isinstance(segment.plan, Plan)
+    return segment.plan
+
+
 def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[ReadSegment]:
     """Recover the spectrum of every segment into its spectrum.zarr.
 
@@ -40,7 +46,7 @@ def recover(executor: Executor, segments: Sequence[Segment], run: Run) -> list[R
     """
     units: list[Unit] = []
     for segment in segments:
-        plan, own = segment.planned, segment.of(run)
+        plan, own = planned(segment), segment.of(run)
         run.establish(own.spectrum, partial(_create_spectrum, own, plan), volatile=["lit"])
         more = plan.recovery, plan.spectrum_chunk
         units += column_groups("recover", segment, run, plan.column_group, recover_group, *more)
@@ -64,7 +70,7 @@ def gate_ranges(executor: Executor, recovered: Sequence[ReadSegment], run: Run) 
     """Gate spectra in range for all sub-blocks, into gated/; nothing without sub-blocks."""
     units: list[Unit] = []
     for segment, receipts, *_ in recovered:
-        plan, own = segment.planned, segment.of(run)
+        plan, own = planned(segment), segment.of(run)
         targets = [
             Gated(block.name, block.range_gate, block.first_bin, plan.gated_bins(block)[0], plan.gated_chunk(block))
             for block in plan.blocks
@@ -119,8 +125,8 @@ def focus_blocks(
     """
     # Create all patches here, before the first task: a late task of a lost worker must not empty a store that another
     # task has written to.
-    blocks = [(each, block) for each in recovered for block in each.segment.planned.blocks]
-    grid = recovered[0].segment.planned.grid
+    blocks = [(each, block) for each in recovered for block in planned(each.segment).blocks]
+    grid = planned(recovered[0].segment).grid
     for _, block in blocks:
         run.establish(run.patch(block.name), partial(_create_patch, run, block, grid))
     chunks = [touched_chunks(block.ground, grid) for _, block in blocks]
@@ -129,7 +135,7 @@ def focus_blocks(
     units: list[Unit] = []
     for position, ((each, block), cells) in enumerate(zip(blocks, chunks, strict=True)):
         segment = each.segment
-        plan, own, number = segment.planned, segment.of(run), segment.number
+        plan, own, number = planned(segment), segment.of(run), segment.number
         if block.range_gate is not None:
             slab = _gated_spectrum(plan, own, block, parts)
         else:
@@ -174,7 +180,7 @@ def discard_spectra(segments: Sequence[Segment], run: Run, receipts: Sequence[Re
     for segment in segments:
         own = segment.of(run)
         own.discard(own.spectrum, receipts)
-        for block in segment.planned.blocks:
+        for block in planned(segment).blocks:
             if block.range_gate is not None:
                 own.discard(own.gated(block.name), receipts)
 
@@ -185,7 +191,7 @@ def mosaic(executor: Executor, recovered: Sequence[ReadSegment], run: Run, patch
     Chunks that only one block touches are there already; those that no block covers are not written.
     """
     segments = [each.segment for each in recovered]
-    grid = segments[0].planned.grid
+    grid = planned(segments[0]).grid
     cells = {
         cell: [part for part, _ in parts]
         for cell, parts in _patch_chunks(segments, run, patches).items()
@@ -207,21 +213,21 @@ def layers_of_blocks(
     executor: Executor, segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
 ) -> list[Receipt]:
     """Add the layers of a terrain to the chunks of the image that blocks cover; nothing on the plane."""
-    seen_by = {block.index: segment.number or 0 for segment in segments for block in segment.planned.blocks}
+    seen_by = {block.index: segment.number or 0 for segment in segments for block in planned(segment).blocks}
     cells = {
         cell: {part.block: seen_by[part.block] for part, _ in parts}
         for cell, parts in _patch_chunks(segments, run, patches).items()
     }
-    return layers_of_chunks(executor, segments, run, segments[0].planned.grid, cells)
+    return layers_of_chunks(executor, segments, run, planned(segments[0]).grid, cells)
 
 
 def _patch_chunks(
     segments: Sequence[Segment], run: Run, patches: Sequence[Receipt]
 ) -> dict[tuple[int, int], list[tuple[PatchChunk, bool]]]:
     """Map output chunks, by row and column, to their parts; each with whether it is already written to the image."""
-    side = image_chunk(segments[0].planned.grid)
+    side = image_chunk(planned(segments[0]).grid)
     cells: dict[tuple[int, int], list[tuple[PatchChunk, bool]]] = {}
-    blocks = [(segment, block) for segment in segments for block in segment.planned.blocks]
+    blocks = [(segment, block) for segment in segments for block in planned(segment).blocks]
     for (segment, block), receipt in zip(blocks, patches, strict=True):
         assert receipt.origin is not None
         first_y, first_x = receipt.origin
