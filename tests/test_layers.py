@@ -48,7 +48,7 @@ HOMES: dict[str, set[str] | None] = {
     "scipy": None,
     "numba": {"autofocusing", "kernels", "imaging", "inspection", "processors", "simulation"},
     "llvmlite": {"kernels"},
-    "finufft": {"simulation"},
+    "finufft": {"kernels", "simulation"},
     "pydantic": {"runs", "simulation"},
     "zarr": {"places", "stores"},
     "numcodecs": {"stores"},
