@@ -21,6 +21,7 @@ from blocksar.collection.collection import Collection
 from blocksar.collection.terrain import Terrain
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.places import place
+from blocksar.processors.exact.definition import back_project
 
 HALF, SPACING = 30.0, 0.5  # m, of the grids; their columns are as far apart as 0.7 of the resolution
 SCATTERERS, POINTS = 400, 80  # of clutter, and pixels at which the definition is summed
@@ -89,10 +90,8 @@ def pixel(made: Clutter, x: float, y: float, weighting: str) -> complex:
     point = np.array([x, y, 0.0 if made.terrain is None else terrain_height(made.terrain, x, y)])
     sight = point - c.antenna_position
     away, on = np.linalg.norm(sight, axis=1), lit(c, point)
-    wavenumber = 4 * np.pi / SPEED_OF_LIGHT * (c.carrier + c.range_frequency)
-    turned = made.history.signal.values[on] * np.exp(1j * np.outer((away - c.reference_range)[on], wavenumber))
     n, m = c.n_pulse, c.n_range_frequency
-    over_band, over_dwell = np.ones(m), np.ones(np.count_nonzero(on))
+    over_band, over_dwell = np.ones(m), np.ones(n)
     if weighting != "uniform":
         if c.beam_width is None:
             place_in = (2 * np.arange(n) + 1 - n) / n
@@ -102,8 +101,12 @@ def pixel(made: Clutter, x: float, y: float, weighting: str) -> complex:
             nadir = c.antenna_position[np.argmin(np.abs(c.time))]
             off = np.arctan2(y - nadir[1], x - nadir[0]) - c.beam_azimuth
             place_in = 2 / c.beam_width * np.angle(np.exp(1j * off))
-        over_band, over_dwell = taylor((2 * np.arange(m) + 1 - m) / m), taylor(place_in[on])
-    return complex(over_dwell @ turned @ over_band) / float(over_dwell.sum() * over_band.sum())
+        over_band, over_dwell = taylor((2 * np.arange(m) + 1 - m) / m), taylor(place_in)
+    [value] = back_project(
+        made.history.signal.values, c.antenna_position, c.carrier + c.range_frequency, c.reference_range, point[None],
+        lit=on[None], weights=np.outer(over_dwell, over_band),
+    )  # fmt: skip
+    return complex(value)
 
 
 def taylor(v: np.ndarray) -> np.ndarray:
@@ -126,9 +129,12 @@ CELLS = [
     for weighting in WEIGHTINGS
     for processor in (*UNIVERSAL, *CHAINS)
 ]
-# Every sixth is not slow: each processor, and each kind, over each ground and under each weighting.
+# Every sixth is not slow: each processor, and each kind, over each ground and under each weighting; but for
+# chains over a hill seen from a curved track, whose search for a division takes long.
 MARKED = [
-    cell if (number + number // 6 + number // 24) % 6 == 0 else pytest.param(*cell, marks=pytest.mark.slow)
+    cell
+    if (number + number // 6 + number // 24) % 6 == 0 and not (cell[:2] == ("curved", "hill") and cell[3] in CHAINS)
+    else pytest.param(*cell, marks=pytest.mark.slow)
     for number, cell in enumerate(CELLS)
 ]
 
