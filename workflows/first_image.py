@@ -101,7 +101,7 @@ def main(
     plan = blocksar.plan(history)
     print(*plan.summary, sep="\n")
 
-    report = blocksar.focus(history, out / "run", overwrite=overwrite)
+    report = blocksar.focus(history, out / "run", processor="angular-division", overwrite=overwrite)
     print(*report.summary, sep="\n")
 
     quality = blocksar.quality(out / "run").result

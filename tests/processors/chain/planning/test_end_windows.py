@@ -109,7 +109,8 @@ def test_weights_near_zero_divide_nothing(tmp_path: Path) -> None:
     """Under hann a pixel of a small part of a dwell came to 1e8, since its weights add up to nothing."""
     (tmp_path / "scene.toml").write_text(SCENE)
     for weighting, covered in (("hann", 0.11), ("taylor:4:-35", 0.03)):
-        plan = blocksar.plan(tmp_path / "scene.toml", grid=GRID, weighting=weighting).result
+        asked = {"grid": GRID, "weighting": weighting, "processor": "angular-division"}
+        plan = blocksar.plan(tmp_path / "scene.toml", **asked).result
         grounds = [block.ground for block in plan.blocks]
         weight, lit = (np.concatenate(each) for each in zip(*((g.weight[0], g.lit) for g in grounds), strict=True))
         share = np.concatenate([lit_pulses(plan.geometry.collection, g.yaw_axis, ONE) for g in grounds])
