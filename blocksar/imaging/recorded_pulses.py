@@ -49,7 +49,7 @@ def recorded_means(
     assert recorded is not None
     with np.errstate(invalid="ignore", divide="ignore"):  # of points that are not lit
         time = _times(geometry, x, y, z)
-        distance, weight = _distances(geometry, x, y, z, time), _weights(geometry, x, y, z, time, weighting.azimuth)
+        distance, weight = distances_at(geometry, x, y, z, time), _weights(geometry, x, y, z, time, weighting.azimuth)
         amplitude, power = (
             (weight * recorded.share(distance, weighting.range, power)).sum(axis=0) / weight.sum(axis=0)
             for power in (1, 2)
@@ -123,7 +123,7 @@ def _all_whole(geometry: Geometry, points: Sequence[FloatArray]) -> bool:
         return False
     time = np.linspace(first.min(), last.max(), TIMES)
     x, y, z = (end.mean() for end in ends)
-    distance = _distances(geometry, x, y, z, time)
+    distance = distances_at(geometry, x, y, z, time)
     away += float(np.abs(np.diff(distance)).max())  # between two times
     nearest, farthest = recorded.whole
     return bool(distance.min() - away >= nearest and distance.max() + away <= farthest)
@@ -138,7 +138,7 @@ def _times(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height) -> Float
     return np.asarray(np.linspace(first, last, TIMES))
 
 
-def _distances(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray) -> FloatArray:
+def distances_at(geometry: Geometry, x: FloatArray, y: FloatArray, z: Height, time: FloatArray) -> FloatArray:
     """Ranges of points (...) at times (TIMES, ...), m."""
     ways = []
     for track in geometry.tracks:

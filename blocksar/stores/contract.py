@@ -269,6 +269,13 @@ def check_type(name: str, variable: Variable, dims: tuple[Any, ...] | None, dtyp
         )
     if dtype.kind not in ("c" if variable.dtype == "complex64" else "fiu"):
         raise InputError(f"{name} is {dtype}, but must be {variable.dtype}; write it as that")
+    check_axis_precision(name, dtype)
+
+
+def check_axis_precision(name: str, dtype: np.dtype[Any]) -> None:
+    """Refuse an axis in half precision, whose steps would be taken as uneven."""
+    if dtype == np.float16 and name in ("time", "range_frequency"):
+        raise InputError(f"{name} is float16, which holds three digits, so that steps are uneven; give float64")
 
 
 def unit_factor(text: str, unit: str) -> float | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from blocksar.collection.empty_pulses import real_numbers
 from blocksar.errors import InputError, quoted
-from blocksar.stores.contract import SAMPLES, SCHEMA, check_units, fill_value, unit_factor
+from blocksar.stores.contract import SAMPLES, SCHEMA, check_axis_precision, check_units, fill_value, unit_factor
 from blocksar.stores.labels import COORDINATES, axis_order, canonical_dims, check_relation, order_by
 
 NUMBERS = {
@@ -357,7 +357,7 @@ def _pairs(what: str, given: Given, real: str, imaginary: str, least: float, mor
 
 
 def check_type(given: Given, _: Arguments) -> None:
-    """numbers of any precision | float64, complex64; real samples, times as dates, bool and text are refused"""
+    """numbers of any precision | float64, complex64; real samples, float16 axes, dates, bool and text are refused"""
     if given.kind == "number":
         if np.ndim(given.value) == 0 and given.value.dtype.kind in "fiu":
             given.value = given.value.item()
@@ -366,6 +366,7 @@ def check_type(given: Given, _: Arguments) -> None:
         return
     name, array, dtype = given.name, given.value, SCHEMA[given.name].dtype
     kind = array.dtype.kind
+    check_axis_precision(name, array.dtype)
     if kind in ("c" if given.is_samples else "fiu"):
         with np.errstate(over="ignore"):
             given.value = array.astype(dtype, copy=False)

@@ -45,13 +45,13 @@ def summed_response(
         if not lit.any():
             continue
         delay = (geometry.range_history(point, time)[0] - geometry.range_history(origin, time)[0]) * 2 / SPEED_OF_LIGHT
-        comb = _comb(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
+        comb = band_response(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
         total += (lit * comb * np.exp(2j * np.pi * middle * delay)).sum(axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray(target.reflectivity * total / count)
 
 
-def _comb(turns: FloatArray, n: int, taper: Taper) -> FloatArray:
+def band_response(turns: FloatArray, n: int, taper: Taper) -> FloatArray:
     """Weighted mean of exp(2j pi turns (k - (n - 1) / 2)) over k < n: each cosine of the taper shifts a comb twice."""
     terms, frequency = taper.series
     shifts = np.arange(terms.size) * frequency / n

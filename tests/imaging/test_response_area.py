@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from axis_beams import axis_collection, with_patterns
-from summed_response import _comb
+from summed_response import band_response
 
 from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
@@ -42,7 +42,7 @@ def clutter_power(geometry: Geometry, x: float, y: float, weighting: Weighting, 
         places = geometry.on_ground(px, py)[:, None]
         delay = (pixel - geometry.range_history(places, collection.time)[0]) * 2 / SPEED_OF_LIGHT
         echo = beam.is_lit(px, py) * beam.gain(px[:, None], py[:, None], slice(None))
-        comb = _comb(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
+        comb = band_response(delay * collection.range_frequency_step, collection.n_range_frequency, weighting.range)
         value = (weights * echo * comb * np.exp(2j * np.pi * middle * delay)).sum(axis=1) / gain.sum()
         total += float((np.abs(value) ** 2).sum()) * cell
     return total

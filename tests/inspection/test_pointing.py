@@ -67,16 +67,6 @@ def off(collection: Collection, degrees: float) -> Collection:
 
 
 @pytest.mark.slow
-def test_a_true_beam_passes_and_what_was_tried_is_said() -> None:
-    findings = found(*made("fast tops"), thorough=True)
-    assert findings.warning() is None
-    assert findings.sentence().startswith(
-        "the image is sharp as given, but whether it is mirrored or moved is not told"
-    )
-    assert "the beam lights them when it should (errors up to " in findings.sentence()
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "error"),  # half a width; nearly a PRF, where echoes look hardly displaced; towards the PRF's other end
     [("squint", 0.8), pytest.param("tops", -2.0, marks=SLOW), ("yaw", -0.6), pytest.param("strip", 1.2, marks=SLOW)],

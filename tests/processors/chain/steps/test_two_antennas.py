@@ -14,7 +14,7 @@ from blocksar.collection.grid import Grid, ground_resolution
 from blocksar.collection.weighting import Weighting
 from blocksar.constants import SPEED_OF_LIGHT
 from blocksar.errors import InputError
-from blocksar.imaging.recorded_pulses import _distances
+from blocksar.imaging.recorded_pulses import distances_at
 from blocksar.measurement.figures import ideal_response
 from blocksar.planning.ambiguity import worst_ambiguity
 from blocksar.processors.exact.sums import form_points
@@ -120,7 +120,7 @@ def test_resolution_and_response_follow_the_gradient_of_the_half_way(name: str) 
     time = c.time[[20, 90]]
     x, y, z = (np.full((2, 1), value) for value in (3.0, 4.0, 0.0))
     expected = half_way(c, 3.0, 4.0)[[20, 90]]
-    np.testing.assert_allclose(_distances(geometry, x, y, z, time[:, None])[:, 0], expected, atol=1e-6)
+    np.testing.assert_allclose(distances_at(geometry, x, y, z, time[:, None])[:, 0], expected, atol=1e-6)
 
 
 def test_the_strongest_ghost_is_that_of_an_image() -> None:
