@@ -186,7 +186,10 @@ def _add_to_groups(
     bins, shares = np.empty(CHUNK * FEW, np.int32), np.empty(CHUNK * FEW, np.float32)
     seen, per_cycle = np.empty((7, CHUNK + FEW), np.float32), bins_per_metre / cycles_per_metre
     weighted = terms.size > 0
-    for begin in range(spans[:, 0].min(), spans[:, 1].max(), CHUNK):
+    lowest, highest = spans[0, 0], spans[0, 1]
+    for group in range(1, spans.shape[0]):
+        lowest, highest = min(lowest, spans[group, 0]), max(highest, spans[group, 1])
+    for begin in range(lowest, highest, CHUNK):
         for group in range(spans.shape[0]):
             i = group * FEW
             dx, dy = load_few(x, i) - centre_x, load_few(y, i) - centre_y

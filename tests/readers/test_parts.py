@@ -363,6 +363,7 @@ def test_a_web_server_without_parts_is_said_to_be_one(made: Made, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # sockets of the server's threads
 def test_an_object_store_is_read_as_a_disk_is(made: Made, tmp_path: Path) -> None:
     with s3.server():
         there = place(f"s3://{s3.make_bucket()}/collect.cphd")
