@@ -8,7 +8,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -90,24 +90,7 @@ def read_targets(path: Place, frame: HasFrame | None = None) -> list[Target]:
     InputError
         If the file is not JSON, has no targets, or a record has an unknown key, lacks one, or repeats a name.
     """
-    records = _records(path)
-    if isinstance(records, dict) and records.get("type") in ("FeatureCollection", "Feature"):
-        records = _of_geojson(path, records, frame)
-    if isinstance(records, dict):
-        records = records.get("targets")
-    if not isinstance(records, list) or not records:
-        raise InputError(f"{path} holds no list of targets; give {FORM}")
-    targets = []
-    for number, record in enumerate(records, 1):
-        where = f"{path}: target {number}"
-        if not isinstance(record, Mapping):
-            raise InputError(f"{where} is {json.dumps(record)[:60]}, not a record; give {FORM}")
-        _check_keys(record, where)
-        try:
-            targets.append(Target.from_record(record))
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-    return targets
+    return [_target(*each) for each in _listed(path, frame, "target", FORM, ("reflectivity",))]
 
 
 def _records(path: Place) -> Any:
@@ -168,35 +151,58 @@ def read_reflectors(path: Place, frame: HasFrame | None = None) -> list[Reflecto
     InputError
         If there are none, a record is none of a target, or its kind or its side is wrong.
     """
+    return [_reflector(*each) for each in _listed(path, frame, "reflector", REFLECTORS, ("kind", "side"))]
+
+
+def _listed(
+    path: Place, frame: HasFrame | None, kind: str, form: str, more: Sequence[str]
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the records of a file, with known keys and `more`, each after the words that name it in messages.
+
+    They are a list, a dict with that list under the plural of `kind`, or GeoJSON with `more` in `properties`.
+
+    Raises
+    ------
+    InputError
+        If there are none, or one is no record, has an unknown key or lacks one.
+    """
     records = _records(path)
     if isinstance(records, dict) and records.get("type") in ("FeatureCollection", "Feature"):
-        records = _of_geojson(path, records, frame, ("kind", "side"))
+        records = _of_geojson(path, records, frame, more)
+    if isinstance(records, dict):
+        records = records.get(f"{kind}s")
     if not isinstance(records, list) or not records:
-        raise InputError(f"{path} holds no list of reflectors; give {REFLECTORS}")
-    reflectors = []
+        raise InputError(f"{path} holds no list of {kind}s; give {form}")
     for number, record in enumerate(records, 1):
-        where = f"{path}: reflector {number}"
+        where = f"{path}: {kind} {number}"
         if not isinstance(record, Mapping):
-            raise InputError(f"{where} is {json.dumps(record)[:60]}, not a record; give {REFLECTORS}")
-        _check_keys({key: value for key, value in record.items() if key not in ("kind", "side")}, where)
-        kind, side = record.get("kind"), record.get("side")
-        if kind not in KINDS:
-            raise InputError(f"{where} is of the kind {kind!r:.60}; give one of {', '.join(KINDS)}")
-        try:
-            metres = math.nan if isinstance(side, bool) else float(side)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            metres = math.nan
-        if not 0 < metres < MOST_SIDE:
-            raise InputError(f"{where} has the side {side!r:.60}; give it in m, above 0 and below {MOST_SIDE:g}")
-        try:
-            reflectors.append(Reflector(Target.from_record(record), kind, metres))
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
-    return reflectors
+            raise InputError(f"{where} is {json.dumps(record)[:60]}, not a record; give {form}")
+        _check_keys({key: value for key, value in record.items() if key not in more}, where, form)
+        yield where, record
+
+
+def _target(where: str, record: Mapping[str, Any]) -> Target:
+    try:
+        return Target.from_record(record)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _reflector(where: str, record: Mapping[str, Any]) -> Reflector:
+    kind, side = record.get("kind"), record.get("side")
+    if kind not in KINDS:
+        raise InputError(f"{where} is of the kind {kind!r:.60}; give one of {', '.join(KINDS)}")
+    try:
+        metres = math.nan if isinstance(side, bool) else float(side)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        metres = math.nan
+    if not 0 < metres < MOST_SIDE:
+        raise InputError(f"{where} has the side {side!r:.60}; give it in m, above 0 and below {MOST_SIDE:g}")
+    return Reflector(_target(where, record), kind, metres)
 
 
 def _of_geojson(
-    path: Place, content: Mapping[str, Any], frame: HasFrame | None, kept: Sequence[str] = ("reflectivity",)
+    path: Place, content: Mapping[str, Any], frame: HasFrame | None, kept: Sequence[str]
 ) -> list[dict[str, Any]]:
     """The records of GeoJSON points: longitude and latitude in degrees, and height above the ellipsoid in m if given.
 
@@ -255,7 +261,7 @@ def _like_csv(text: str) -> bool:
     return len(counts) == 1 and min(counts) >= 1 and not re.match(r"\s*[\[{]", text)
 
 
-def _check_keys(record: Mapping[str, Any], where: str) -> None:
+def _check_keys(record: Mapping[str, Any], where: str, form: str) -> None:
     for key in record:
         if key in KNOWN:
             continue
@@ -263,4 +269,4 @@ def _check_keys(record: Mapping[str, Any], where: str) -> None:
         hint = f"did you mean {close[0]}?" if close else f"known are {', '.join(Target._fields)}"
         raise InputError(f"{where} has the unknown key {str(key)[:60]!r}; {hint}")
     if missing := [name for name in ("name", "x", "y") if name not in record]:
-        raise InputError(f"{where} has no {' and no '.join(missing)}; give {FORM}")
+        raise InputError(f"{where} has no {' and no '.join(missing)}; give {form}")
