@@ -29,6 +29,7 @@ from blocksar.measurement.interferometry import (
     threshold,
     vertical_wavenumber,
 )
+from blocksar.measurement.multilooking import multilook, power_of
 from blocksar.measurement.side_lobes import REACH, side_lobe_power
 from blocksar.places.place import Place
 from blocksar.progress.listening import Callback
@@ -186,20 +187,14 @@ def _unwanted(run: FinishedRun, window: tuple[int, int], rows: slice, columns: s
             _widened(part, n, REACH) for part, n in zip((rows, columns), (run.y.size, run.x.size), strict=True)
         )
         # Side lobes hardly change within half a window, over whose whole the mean is taken.
-        cell = tuple(max(side // 2, 1) for side in window)
-        coarse = _means(np.abs(run.read(top, left).astype(np.complex128)) ** 2, cell)
+        cell = max(window[0] // 2, 1), max(window[1] // 2, 1)
+        pixels = run.read(top, left)
+        beyond = [(0, -n % side) for n, side in zip(pixels.shape, cell, strict=True)]  # as what is not covered, 0
+        coarse = multilook(np.pad(np.nan_to_num(power_of(pixels)), beyond), cell).astype(np.float64)
         lobes = side_lobe_power(coarse, axes, (run.spacing[0] * cell[1], run.spacing[1] * cell[0]), REACH // max(cell))
         lobes = lobes.repeat(cell[0], axis=0).repeat(cell[1], axis=1)[: top.stop - top.start, : left.stop - left.start]
         power += np.maximum(uniform_filter(lobes, window, mode="nearest")[own_rows, own_columns], 0.0)
     return power
-
-
-def _means(power: FloatArray, cell: tuple[int, ...]) -> FloatArray:
-    """Means over cells of so many rows and columns, of which the last are filled up with 0, as what is not covered."""
-    rows, columns = (-(-n // side) for n, side in zip(power.shape, cell, strict=True))
-    padded = np.zeros((rows * cell[0], columns * cell[1]))
-    padded[: power.shape[0], : power.shape[1]] = np.nan_to_num(power, nan=0.0)
-    return np.asarray(padded.reshape(rows, cell[0], columns, cell[1]).mean(axis=(1, 3)))
 
 
 def _segments(run: FinishedRun, rows: slice, columns: slice) -> NDArray[np.int64] | None:
