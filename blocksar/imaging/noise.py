@@ -6,7 +6,7 @@ gives a pixel
     noise_equivalent = N sum (w W)^2 / (sum w W g)^2 = N (sum w^2 / (sum w g)^2) (sum W^2 / (sum W)^2)
 
 over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
-over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel. On a
+over the ground, apart from bends where dwells begin to be cut: they are computed at `nodes`. On a
 terrain they lie at their heights, which count under a beam about its axis. The mean of a pattern in elevation, which
 may have zeros, is computed at every pixel. Where a raw echo recorded parts of pulses, the noise is times the mean share
 of W^2 over the square of that of W (`recorded_pulses`).
@@ -25,11 +25,11 @@ from blocksar.collection.axis_beam import Height
 from blocksar.collection.beam import GAIN_PARTS, pulses_before
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
+from blocksar.imaging.nodes import nodes_of, over_pixels
 from blocksar.imaging.pattern_sums import mean_elevations
 from blocksar.imaging.recorded_pulses import divide_by_recorded
 from blocksar.kernels.phase import Float32Array
 
-NODE_PIXELS = 16
 # Bits of a float32 that are kept zero, so that images of noise compress: values are rounded to 1.2e-4, or 0.0005 dB.
 SPARED_BITS = 11
 
@@ -139,17 +139,18 @@ class NoiseMap:
         NaN where no pulse lights a pixel, or the pattern in elevation is too small for an image. On a terrain, `height`
         (n_y, n_x) has z of the pixels, m; NaN where unknown.
         """
-        geometry, columns, rows = self.geometry, _nodes(x.size), _nodes(y.size)
+        geometry, columns, rows = self.geometry, nodes_of(x.size), nodes_of(y.size)
+        pixels = np.arange(y.size, dtype=np.float64), np.arange(x.size, dtype=np.float64)
         elevated = geometry.collection.elevation_pattern is not None
         if elevated:
             geometry = geometry.lit_by(geometry.collection.without_elevation)
         counts = geometry.collection.has_axis or elevated
         z = _at_nodes(height, rows, columns) if counts and height is not None else None
         sums = pulse_sums(geometry, *np.meshgrid(x[columns], y[rows]), self.valid, self.weighting, z)
-        squares, gains = (_refine(_refine(part, rows, y.size).T, columns, x.size).T for part in sums)
+        squares, gains = (over_pixels(part, rows, columns, *pixels) for part in sums)
         if elevated:
             if z is not None and height is not None:
-                z = np.where(np.isfinite(height), height, _refine(_refine(z, rows, y.size).T, columns, x.size).T)
+                z = np.where(np.isfinite(height), height, over_pixels(z, rows, columns, *pixels))
             gains = gains * self._elevation(x, y, z)
         lit = (squares > 0) & (gains > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -176,11 +177,6 @@ class NoiseMap:
         return np.where(means.dark(geometry), 0.0, means.weighed)
 
 
-def _nodes(n: int) -> IntArray:
-    """Indices of every NODE_PIXELS-th of n pixels and of the last one."""
-    return np.unique(np.append(np.arange(0, n, NODE_PIXELS), n - 1))
-
-
 def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray | None:
     """Heights of pixels (n_y, n_x), m, at nodes; interpolated where unknown, None if none is known."""
     if not np.isfinite(height).any():
@@ -192,13 +188,3 @@ def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArr
             if unknown.any() and not unknown.all():
                 line[unknown] = np.interp(np.flatnonzero(unknown), np.flatnonzero(~unknown), line[~unknown])
     return z if np.isfinite(z).all() else np.full(z.shape, np.nanmean(height))
-
-
-def _refine(values: FloatArray, nodes: IntArray, n: int) -> FloatArray:
-    """Interpolate values (n_node, m) linearly from nodes to n pixels: (n, m)."""
-    if nodes.size == 1:
-        return values
-    pixel = np.arange(n)
-    first = np.clip(np.searchsorted(nodes, pixel, side="right") - 1, 0, nodes.size - 2)
-    part = ((pixel - nodes[first]) / (nodes[first + 1] - nodes[first]))[:, None]
-    return np.asarray(values[first] * (1 - part) + values[first + 1] * part)

@@ -19,7 +19,8 @@ du/dt = -(v - (v . u) u) / R, so that
 
     J = (4 pi / c)^2 (fc + f) |(u x v) . n| / R times the steps in frequency and time.
 
-It is a product, and so is A: c^2 / (4 df dt) times sum W^2 / (fc + f) / (sum W)^2 over range frequencies, times
+Samples that stand for shares s of a step count s times, and have s of its J: one s is left in the squares. J is a
+product, and so is A: c^2 / (4 df dt) times sum W^2 / (fc + f) / (sum W)^2 over range frequencies, times
 sum (w g)^2 R / |(u x v) . n| / (sum w g)^2 over pulses. Equal weights of a short dwell T broadside of a straight track
 give (c / 2B) / sin(incidence) times (wavelength R / (2 |v| T)): the cell of the textbook.
 
@@ -31,7 +32,7 @@ elevation cancels as far as it does not change over a dwell, and is taken as con
 of pulses, A is times the mean share of W^2 over the square of that of W (`recorded_pulses`).
 
 Sums over pulses are smooth over the ground against the length that the beam lights, apart from bends where dwells begin
-to be cut: they are computed at every NODE_PIXELS-th pixel, or more often where that length has few pixels.
+to be cut: they are computed at `nodes`, which lie closer together where that length has few pixels.
 """
 
 from __future__ import annotations
@@ -45,13 +46,14 @@ from blocksar.arrays import FloatArray, IntArray
 from blocksar.collection.axis_beam import Height
 from blocksar.collection.beam import GAIN_PARTS
 from blocksar.collection.geometry import Geometry
+from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
+from blocksar.imaging.nodes import NODE_PIXELS, nodes_of, over_pixels
 from blocksar.imaging.noise import dwell_parts
 from blocksar.imaging.recorded_pulses import recorded_means
 
-NODE_PIXELS = 16  # between places at which sums are computed, at most
-NODES_LIT = 64  # of these places on the length that the beam lights, at least
+NODES_LIT = 64  # on the length that the beam lights, at least
 
 
 class ResponseSums(NamedTuple):
@@ -66,9 +68,9 @@ def response_sums(
 ) -> ResponseSums:
     """The sums at points x, y, z (...), m; below 0 beyond the ends of the beam, as those of `noise.pulse_sums`."""
     squares, gains = np.zeros(np.shape(x)), np.zeros(np.shape(x))
-    for count, square, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
+    for count, _, middle in dwell_parts(geometry, x, y, valid, z, GAIN_PARTS):
         weight = geometry.beam.weights(x, y, middle, taper, z) * geometry.beam.gain(x, y, middle, z)
-        squares += square * weight**2 * _slowness(geometry, x, y, z, middle)
+        squares += count * weight**2 * _slowness(geometry, x, y, z, middle)
         gains += count * weight
     return ResponseSums(squares, gains)
 
@@ -103,11 +105,19 @@ class AreaMap:
 
     @classmethod
     def of(cls, geometry: Geometry, weighting: Weighting, valid: FloatArray | None = None) -> Self:
-        """The areas of a collection's image; by default every sample is valid."""
+        """The areas of a collection's image; by default every sample is valid.
+
+        Raises
+        ------
+        InputError
+            If the collection is bistatic.
+        """
         collection = geometry.collection
+        refuse_departures("backscatter", collection.two_antennas, "take the power of the image")
         plane = geometry.lit_by(collection.without_elevation).over(None)
-        weights = weighting.range.samples(collection.n_range_frequency)
-        band = float((weights**2 / (collection.carrier + collection.range_frequency)).sum() / weights.sum() ** 2)
+        weights = weighting.range.weights(collection.range_frequency, collection.band)
+        squares = weights * weighting.range.on(collection.range_frequency, collection.band)
+        band = float((squares / (collection.carrier + collection.range_frequency)).sum() / weights.sum() ** 2)
         steps = collection.range_frequency_step * collection.pulse_interval
         valid = np.ones(collection.n_pulse) if valid is None else valid
         return cls(geometry=plane, weighting=weighting, valid=valid, sample=SPEED_OF_LIGHT**2 / (4 * steps) * band)
@@ -126,12 +136,12 @@ class AreaMap:
 
         `z` (n_y, n_x) has their heights, m; unknown ones, NaN, are taken for the plane's.
         """
-        columns, rows = (_nodes(axis, self._lit_length(x, y)) for axis in (x, y))
+        columns, rows = (_close_nodes(axis, self._lit_length(x, y)) for axis in (x, y))
         some = None if z is None else z[np.ix_(rows, columns)]
         if some is not None:
             some = np.where(np.isfinite(some), some, self.geometry.collection.ground_height)
         sums = self._sums(*np.meshgrid(x[columns], y[rows]), some)
-        sums = ResponseSums(*(_between(_between(part, y, rows).T, x, columns).T for part in sums))
+        sums = ResponseSums(*(over_pixels(part, rows, columns, y, x) for part in sums))
         return self._areas(sums, *np.meshgrid(x, y), z)
 
     def _lit_length(self, x: FloatArray, y: FloatArray) -> float:
@@ -160,19 +170,8 @@ class AreaMap:
         return np.asarray(area)
 
 
-def _nodes(axis: FloatArray, length: float) -> IntArray:
-    """Indices of every n-th pixel of an axis, and of the last, NODES_LIT of them to a length, m."""
+def _close_nodes(axis: FloatArray, length: float) -> IntArray:
+    """Nodes of an axis, NODES_LIT of them or more to a length, m."""
     n = axis.size
     spacing = abs(float(axis[-1] - axis[0])) / max(n - 1, 1)
-    step = NODE_PIXELS if spacing == 0 else int(np.clip(length / NODES_LIT / spacing, 1, NODE_PIXELS))
-    return np.unique(np.append(np.arange(0, n, step), n - 1))
-
-
-def _between(values: FloatArray, axis: FloatArray, nodes: IntArray) -> FloatArray:
-    """Values (n_node, m) at nodes of an axis (n,), even or not, linear in between: (n, m)."""
-    if nodes.size == 1:
-        return values
-    first = np.clip(np.searchsorted(nodes, np.arange(axis.size), side="right") - 1, 0, nodes.size - 2)
-    start, end = axis[nodes[first]], axis[nodes[first + 1]]
-    part = ((axis - start) / (end - start))[:, None]
-    return np.asarray(values[first] * (1 - part) + values[first + 1] * part)
+    return nodes_of(n, NODE_PIXELS if spacing == 0 else int(np.clip(length / NODES_LIT / spacing, 1, NODE_PIXELS)))

@@ -81,6 +81,7 @@ ELSEWHERE: dict[str, Callable[[Path, Path, Path], Any]] = {
     "a terrain": lambda ph, run, out: blocksar.plan(ph, grid=GRID, terrain=hills(out), workers=0),
     "a SICD": lambda ph, run, out: blocksar.export("sicd", run, out / "a.nitf"),
     "a SIDD": lambda ph, run, out: blocksar.export("sidd", run, out / "a.nitf"),
+    "backscatter": lambda ph, run, out: blocksar.export("png", run, out / "a.png", quantity="sigma0"),
     "a STAC item": lambda ph, run, out: blocksar.export("stac", run, out / "a.json"),
 }
 

@@ -35,6 +35,7 @@ def clutter_power(geometry: Geometry, x: float, y: float, weighting: Weighting, 
     cell = abs(rx * ay - ry * ax) * axes.range_width * axes.azimuth_width / PER_CELL**2
     collection, beam, at = geometry.collection, geometry.beam, (np.array([x]), np.array([y]))
     weights = valid * beam.is_lit(*at) * beam.weights(*at, slice(None), weighting.azimuth)
+    weights = weights * (1.0 if collection.pulses.shares is None else collection.pulses.shares)
     gain = weights * beam.gain(*at, slice(None))
     pixel = geometry.range_history(geometry.on_ground(*at), collection.time)[0]
     total, middle = 0.0, collection.carrier + float(collection.range_frequency.mean())
@@ -61,6 +62,7 @@ TENTH = 0.1  # dB
         ("sliding spotlight", {"missing": slice(150, 190)}, (9000.0, 5.0), "hamming"),
         ("stripmap", {"patterns": True}, (9000.0, 80.0), "taylor:4:-35"),
         ("stripmap", {"still": True}, (8500.0, 118.0), "uniform"),
+        ("stripmap", {"uneven": True}, (9000.0, 0.0), "taylor:4:-35"),
     ],
 )
 def test_clutter_has_the_power_of_its_area(
@@ -70,10 +72,34 @@ def test_clutter_has_the_power_of_its_area(
     collection = axis_collection(mode, n_pulse=changes.get("n_pulse", 400))
     collection = with_patterns(collection) if "patterns" in changes else collection
     collection = collection.unsteered() if "still" in changes else collection
+    collection = staggered(collection) if "uneven" in changes else collection
     geometry, tapers, valid = Geometry(collection=collection), Weighting.parse(weighting), np.ones(collection.n_pulse)
     valid[changes.get("missing", slice(0, 0))] = 0
     area = AreaMap.of(geometry, tapers, valid).at(np.array(place[0]), np.array(place[1]))
     assert 10 * np.log10(area / clutter_power(geometry, *place, tapers, valid)) == pytest.approx(0, abs=TENTH)
+
+
+def staggered(collection: Collection) -> Collection:
+    """Every pulse but a random fifth, at random times within 15 % of a step, each with the antenna where it is then."""
+    rng, fields = np.random.default_rng(2), collection.as_dict()
+    kept = np.flatnonzero(rng.random(collection.n_pulse) > 0.2)
+    time = collection.time[kept] + 0.15 * collection.pulse_interval * rng.uniform(-1, 1, kept.size)
+    moved = {"antenna_position": Geometry(collection=collection).track.position(time), "time": time}
+    own = {name: value[kept] for name, value in fields.items() if np.shape(value)[:1] == (collection.n_pulse,)}
+    made = Collection(**{**fields, **own, **moved})
+    assert made.pulses.shares is not None and np.std(made.pulses.shares) > 0.2
+    return made
+
+
+def test_frequencies_count_by_their_shares_in_the_area() -> None:
+    """Twice as many frequencies in the upper half of the band add nothing to what the band resolves."""
+    even = axis_collection()
+    x, y, f = np.array(9000.0), np.array(0.0), even.range_frequency
+    between = (f[:-1] + f[1:])[f.size // 2 :] / 2
+    crowded = Collection(**{**even.as_dict(), "range_frequency": np.sort(np.append(f, between))})
+    assert crowded.band.shares is not None
+    areas = [AreaMap.of(Geometry(collection=each), UNIFORM).at(x, y) for each in (even, crowded)]
+    assert areas[1] / areas[0] == pytest.approx(1, abs=0.01)
 
 
 def test_the_area_of_a_short_broadside_dwell_is_that_of_the_textbook() -> None:
