@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
@@ -12,10 +13,18 @@ from blocksar.arrays import FloatArray
 from blocksar.collection.collection import Collection
 from blocksar.collection.geometry import Geometry, over_terrain
 from blocksar.collection.grid import Grid
-from blocksar.collection.region import check_seen, joint_grid
+from blocksar.collection.region import (
+    Region,
+    check_seen,
+    default_grid,
+    joint_grid,
+    plan_region,
+    share_outside,
+)
 from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.terrain import Terrain
 from blocksar.collection.weighting import Weighting
+from blocksar.errors import InputError
 from blocksar.planning import effort
 from blocksar.planning.ambiguity import azimuth_ambiguities
 from blocksar.planning.disk import exact_bytes
@@ -257,6 +266,27 @@ class ImagePlan(ABC):
         return self
 
 
+def outside_window(lit: Sequence[tuple[Geometry, Region]], grid: Grid) -> list[str]:
+    """Warn that part of a given grid lies outside the range windows of all collections; empty if not."""
+    if all(geometry.collection.steered and grid == default_grid(geometry, region) for geometry, region in lit):
+        return []  # the corners of the box about what is lit
+    share = share_outside(lit, grid)
+    if share == 0:
+        return []
+    collections, terrain = [geometry.collection for geometry, _ in lit], lit[0][0].terrain
+    heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
+    heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
+    unrecorded = {each.recorded.partial for each in collections if each.recorded is not None}
+    pulses = (
+        "" if not unrecorded else ", or have no recorded pulse," if any(unrecorded) else ", or have no whole pulse,"
+    )
+    return [
+        f"{100 * share:.2g} % of the grid's pixels lie outside the range window "
+        f"({max(each.range_window for each in collections):.5g} m about the reference range){pulses} and stay NaN; "
+        f"move the grid, or give a smaller one{heights}"
+    ]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PartPlan(ImagePlan):
     """A plan that forms parts of the image, whole chunks, directly from the samples.
@@ -301,8 +331,18 @@ class PartPlan(ImagePlan):
     def _ambiguities(self) -> list[str]:
         return azimuth_ambiguities([piece.geometry for piece in self.pieces], self.grid)
 
+    @cached_property
+    def _outside(self) -> list[str]:
+        """What the range window says of the grid, where a region of yaws and ranges can be planned for it."""
+        geometries = [piece.geometry for piece in self.pieces]
+        if any(geometry.collection.bistatic for geometry in geometries):
+            return []
+        with suppress(InputError):
+            return outside_window([(each, plan_region(each, self.grid)) for each in geometries], self.grid)
+        return []
+
     def notes(self) -> list[str]:
-        return self._ambiguities
+        return [*self._ambiguities, *self._outside]
 
     def stored(self) -> dict[str, int]:
         noise = any(piece.geometry.collection.noise_power for piece in self.pieces)

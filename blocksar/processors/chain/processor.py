@@ -18,7 +18,6 @@ from blocksar.arrays import FloatArray
 from blocksar.budget import side_lobe_budget
 from blocksar.collection.collection import Collection
 from blocksar.collection.grid import folds, ground_spectrum
-from blocksar.collection.region import default_grid, share_outside
 from blocksar.constants import MIB
 from blocksar.errors import InputError, OutsideSwath
 from blocksar.graph import compiling
@@ -27,7 +26,15 @@ from blocksar.imaging.method import ChainOptions, Method
 from blocksar.inspection.samples import doubts_of_track
 from blocksar.measurement.axes import MIN_OVERSAMPLING, response_axes
 from blocksar.planning import effort
-from blocksar.processors.base import Bound, Execution, ImagePlan, PlannedSegment, Problem, usual_seconds
+from blocksar.processors.base import (
+    Bound,
+    Execution,
+    ImagePlan,
+    PlannedSegment,
+    Problem,
+    outside_window,
+    usual_seconds,
+)
 from blocksar.processors.chain.dwells.dwell_ends import reaches_full
 from blocksar.processors.chain.planning import stage_work
 from blocksar.processors.chain.planning.block import BlockPlan
@@ -256,28 +263,6 @@ def jittering_beam(plan: Plan) -> str | None:
     )
 
 
-def outside_window(plans: Sequence[Plan]) -> list[str]:
-    """Warn that part of a given grid lies outside the range windows of all plans; empty if not."""
-    grid = plans[0].grid
-    if all(plan.geometry.collection.steered and grid == default_grid(plan.geometry, plan.region) for plan in plans):
-        return []  # the corners of the box about what is lit
-    share = share_outside([(plan.geometry, plan.region) for plan in plans], grid)
-    if share == 0:
-        return []
-    terrain = plans[0].geometry.terrain
-    heights = "" if terrain is None else f", or correct the terrain's heights, z = {terrain.limits[0]:.6g} .. "
-    heights += "" if terrain is None else f"{terrain.limits[1]:.6g} m"
-    window = max(plan.geometry.collection.range_window for plan in plans)
-    unrecorded = {each.partial for plan in plans if (each := plan.geometry.collection.recorded) is not None}
-    pulses = (
-        "" if not unrecorded else ", or have no recorded pulse," if any(unrecorded) else ", or have no whole pulse,"
-    )
-    return [
-        f"{100 * share:.2g} % of the grid's pixels lie outside the range window ({window:.5g} m about the reference "
-        f"range){pulses} and stay NaN; move the grid, or give a smaller one{heights}"
-    ]
-
-
 @dataclass(frozen=True)
 class Chain:
     """A chain of steps: those of `processors.chain.steps.chains`."""
@@ -446,6 +431,9 @@ class ChainPlan(ImagePlan):
     def blocks(self) -> tuple[PredictedBlock, ...]:
         return tuple(chain.from_iterable(map(predicted_blocks, self.plans)))
 
+    def _outside(self) -> list[str]:
+        return outside_window([(plan.geometry, plan.region) for plan in self.plans], self.grid)
+
     def loops(self) -> Sequence[str]:
         resampling = compiling.RESAMPLING if self.processor == "keystone-resampling" else ()
         return (*resampling, *(compiling.WEIGHTS if any(plan.blends for plan in self.plans) else ()))
@@ -453,11 +441,11 @@ class ChainPlan(ImagePlan):
     def notes(self) -> list[str]:
         doubts = undersampling, short_dwells, cut_dwells, jittering_beam, missed_fidelity
         found = [next((line for plan in self.plans if (line := doubt(plan))), None) for doubt in doubts]
-        return [*filter(None, found), *outside_window(self.plans)]
+        return [*filter(None, found), *self._outside()]
 
     def lines(self) -> list[str]:
         if len(self.plans) == 1:
-            return [*plan_lines(self.plans[0], compared=self.compared is not None), *outside_window(self.plans)]
+            return [*plan_lines(self.plans[0], compared=self.compared is not None), *self._outside()]
         lines = []
         for number, piece in enumerate(self.pieces):
             plan = self.plans[number]
@@ -465,7 +453,7 @@ class ChainPlan(ImagePlan):
             blocks = f"blocks {piece.first_block} .. {piece.first_block + plan.n_blocks - 1}"
             lines.append(f"segment {number} (collection {piece.collection}{pulses}, {blocks}):")
             lines += [f"  {line}" for line in plan_lines(plan)]
-        return [*lines, *outside_window(self.plans)]
+        return [*lines, *self._outside()]
 
     def tables(self) -> list[Table]:
         return [block_table(self.plans)]

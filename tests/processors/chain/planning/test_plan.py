@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -162,11 +163,12 @@ def test_range_gates_share_their_delays_and_divide_the_spectrum_into_whole_chunk
 
 
 @pytest.mark.slow
-def test_a_part_of_the_grid_beyond_the_range_window_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("processor", ["angular-division", "hierarchical-backprojection", "backprojection", "auto"])
+def test_a_part_of_the_grid_beyond_the_range_window_is_told(processor: Any, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(UNSTEERED_SCENE)
     inside, beyond = ((5840.0, 5880.0, 1.0), (2120.0, 2160.0, 1.0)), ((5600.0, 6100.0, 1.0), (2120.0, 2160.0, 1.0))
     told = [
-        " ".join(blocksar.plan(tmp_path / "scene.toml", grid=grid, processor="angular-division").summary)
+        " ".join(blocksar.plan(tmp_path / "scene.toml", grid=grid, processor=processor).summary)
         for grid in (inside, beyond)
     ]
     assert "range window" not in told[0]
