@@ -6,7 +6,7 @@ gives a pixel
     noise_equivalent = N sum (w W)^2 / (sum w W g)^2 = N (sum w^2 / (sum w g)^2) (sum W^2 / (sum W)^2)
 
 over its lit valid pulses and all range frequencies, whichever processor computes it. Both sums over pulses are smooth
-over the ground, apart from bends where dwells begin to be cut: they are computed at `nodes`. On a
+over the ground, apart from bends where dwells begin to be cut: they are computed at every NODE_PIXELS-th pixel. On a
 terrain they lie at their heights, which count under a beam about its axis. The mean of a pattern in elevation, which
 may have zeros, is computed at every pixel. Where a raw echo recorded parts of pulses, the noise is times the mean share
 of W^2 over the square of that of W (`recorded_pulses`).
@@ -25,11 +25,11 @@ from blocksar.collection.axis_beam import Height
 from blocksar.collection.beam import GAIN_PARTS, pulses_before
 from blocksar.collection.geometry import Geometry
 from blocksar.collection.weighting import Weighting
-from blocksar.imaging.nodes import nodes_of, over_pixels
 from blocksar.imaging.pattern_sums import mean_elevations
 from blocksar.imaging.recorded_pulses import divide_by_recorded
 from blocksar.kernels.phase import Float32Array
 
+NODE_PIXELS = 16  # between nodes, at most
 # Bits of a float32 that are kept zero, so that images of noise compress: values are rounded to 1.2e-4, or 0.0005 dB.
 SPARED_BITS = 11
 
@@ -188,3 +188,23 @@ def _at_nodes(height: FloatArray, rows: IntArray, columns: IntArray) -> FloatArr
             if unknown.any() and not unknown.all():
                 line[unknown] = np.interp(np.flatnonzero(unknown), np.flatnonzero(~unknown), line[~unknown])
     return z if np.isfinite(z).all() else np.full(z.shape, np.nanmean(height))
+
+
+def nodes_of(n: int, step: int = NODE_PIXELS) -> IntArray:
+    """Indices of every `step`-th of n pixels, and of the last one."""
+    return np.unique(np.append(np.arange(0, n, step), n - 1))
+
+
+def over_pixels(values: FloatArray, rows: IntArray, columns: IntArray, y: FloatArray, x: FloatArray) -> FloatArray:
+    """Values (n_row, n_column) at nodes of the axes y (n_y,) and x (n_x,), even or not, at all pixels: (n_y, n_x)."""
+    return _between(_between(values, y, rows).T, x, columns).T
+
+
+def _between(values: FloatArray, axis: FloatArray, nodes: IntArray) -> FloatArray:
+    """Values (n_node, m) at nodes of an axis (n,), linear in between: (n, m)."""
+    if nodes.size == 1:
+        return values
+    first = np.clip(np.searchsorted(nodes, np.arange(axis.size), side="right") - 1, 0, nodes.size - 2)
+    start, end = axis[nodes[first]], axis[nodes[first + 1]]
+    part = ((axis - start) / (end - start))[:, None]
+    return np.asarray(values[first] * (1 - part) + values[first + 1] * part)

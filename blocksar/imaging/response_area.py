@@ -32,7 +32,7 @@ elevation cancels as far as it does not change over a dwell, and is taken as con
 of pulses, A is times the mean share of W^2 over the square of that of W (`recorded_pulses`).
 
 Sums over pulses are smooth over the ground against the length that the beam lights, apart from bends where dwells begin
-to be cut: they are computed at `nodes`, which lie closer together where that length has few pixels.
+to be cut: they are computed at every NODE_PIXELS-th pixel, or closer where that length has few pixels.
 """
 
 from __future__ import annotations
@@ -49,8 +49,7 @@ from blocksar.collection.geometry import Geometry
 from blocksar.collection.sampling import refuse_departures
 from blocksar.collection.weighting import Taper, Weighting
 from blocksar.constants import SPEED_OF_LIGHT
-from blocksar.imaging.nodes import NODE_PIXELS, nodes_of, over_pixels
-from blocksar.imaging.noise import dwell_parts
+from blocksar.imaging.noise import NODE_PIXELS, dwell_parts, nodes_of, over_pixels
 from blocksar.imaging.recorded_pulses import recorded_means
 
 NODES_LIT = 64  # on the length that the beam lights, at least
